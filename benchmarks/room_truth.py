@@ -41,7 +41,7 @@ def judge(mapped: MappedRooms, plan: FloorPlan) -> Judgement:
     world, T = mapped.world, mapped.T_world_map
     names = true_rooms(world)
     true_at, p_world = _true_labels(world, names)
-    found_at = plan.rooms_at(transform(inverse_sim3(T), p_world))
+    found_at = plan.rooms_at(transform(inverse_sim3(T), p_world)).astype(np.int64)
     doors = true_doors(world)
     return Judgement(
         rooms=len(plan.rooms),
