@@ -41,7 +41,7 @@ def judge(mapped: MappedRooms, plan: FloorPlan) -> Judgement:
     world, T = mapped.world, mapped.T_world_map
     names = true_rooms(world)
     true_at, p_world = _true_labels(world, names)
-    found_at = plan.rooms_at(transform(inverse_sim3(T), p_world))
+    found_at = plan.rooms_at(transform(inverse_sim3(T), p_world)).astype(np.int64)
     doors = true_doors(world)
     return Judgement(
         rooms=len(plan.rooms),
@@ -82,8 +82,9 @@ def _overlaps(true_at: IntArray, found_at: IntArray, true_count: int, count: int
     iou = np.zeros((true_count, max(count, 1)))
     for i in range(true_count):
         for j in range(count):
-            both = np.count_nonzero((true_at == i) & (found_at == j))
-            iou[i, j] = both / max(np.count_nonzero((true_at == i) | (found_at == j)), 1)
+            both = int(np.count_nonzero((true_at == i) & (found_at == j)))
+            either = int(np.count_nonzero((true_at == i) | (found_at == j)))
+            iou[i, j] = both / max(either, 1)
     rows, columns = linear_sum_assignment(-iou)
     out = np.zeros(true_count)
     out[rows] = iou[rows, columns]
