@@ -77,7 +77,11 @@ def follow(
     step = max(1, -(-num_frames // MAX_KEYFRAMES))
     R_body_cam = camera.T_body_cam_matrix[:3, :3]
     angle = np.concatenate([np.zeros((1, 3)), np.cumsum(samples.gyro[:-1] * np.diff(samples.t_s)[:, None], axis=0)])
-    times, ids, uv, xy, images = [], [], [], [], []
+    times: list[float] = []
+    images: list[IntArray] = []
+    ids: list[IntArray] = []
+    uv: list[FloatArray] = []
+    xy: list[FloatArray] = []
     before_s = None
     for number, frame in enumerate(frames):
         advance()
@@ -101,9 +105,9 @@ def follow(
         ids.append(seen.ids)
         uv.append(seen.uv_px)
         xy.append(seen.xy)
-    return _sorted(
-        np.array(times), *(np.concatenate(parts) if parts else np.zeros(0) for parts in (images, ids, uv, xy))
-    )
+    if not times:
+        raise DataError("none of the images can be used; record the camera as well")
+    return _sorted(np.array(times), np.concatenate(images), np.concatenate(ids), np.concatenate(uv), np.concatenate(xy))
 
 
 def _angle(t_s: float, t_imu_s: FloatArray, angle: FloatArray) -> FloatArray:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,8 +10,9 @@ from station.calibration.targetless.check import check_calibration
 from station.calibration.targetless.verdict import Quantity, too_vague
 from station.commands.calibrate.check import lively
 from station.datasets import open_dataset
+from tests.support.paths import RECORDINGS
 
-STATIC = Path("../shared/data/euroc_v1_01_static")
+STATIC = RECORDINGS / "euroc_v1_01_static"
 
 
 def quantity(key: str, away: FloatArray, sigma: float, excited: str = "") -> Quantity:
