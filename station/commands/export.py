@@ -17,10 +17,15 @@ from station.commands.options import Config, Data
 from station.files.colmap import export_colmap
 from station.files.export import export_euroc, export_mcap, export_ply
 from station.files.navigation_folder import format_tum, load_navigation
+from station.model.floor_plan import FloorPlan
 from station.model.navigation import Navigation
 from station.model.place_map import PlaceMap
 from station.places.making.changes import without_hidden
 from station.places.making.graph import to_graphml
+from station.places.rooms.edits import require_plan
+from station.places.rooms.geojson import floorplan_json
+from station.places.rooms.png import floorplan_png
+from station.places.rooms.svg import floorplan_svg
 
 
 def register(app: typer.Typer) -> None:
@@ -38,12 +43,17 @@ def export(
     ],
     out: Annotated[Path, typer.Option("--out", help="File to write; a folder for euroc and colmap. Must not exist.")],
     file_format: Annotated[
-        Literal["tum", "ply", "graphml", "euroc", "mcap", "colmap"], typer.Option("--format", help="What to write.")
+        Literal["tum", "ply", "graphml", "euroc", "mcap", "colmap", "floorplan"],
+        typer.Option("--format", help="What to write."),
     ],
     data: Data = None,
     config: Config = None,
 ) -> None:
-    """Write trajectory (tum, euroc), cloud (ply), place graph (graphml), COLMAP model, or all for Foxglove (mcap)."""
+    """Write trajectory (tum, euroc), cloud (ply), place graph (graphml), COLMAP model, or all for Foxglove (mcap).
+
+    A map's floor plan (floorplan) is drawn as the file's ending says: .svg, .png, or .json (GeoJSON).
+    """
+    drawn = _floorplan_format(out) if file_format == "floorplan" else None
     try:
         is_taken = out.exists()
     except OSError as exc:  # too long a name
@@ -63,6 +73,12 @@ def export(
         text = to_graphml(without_hidden(place_map))
         _whole_or_not(out, lambda path: path.write_text(text))
         return
+    if drawn is not None:
+        if place_map is None:
+            raise DataError(f"{source} is a navigation and has no rooms; give a map for --format floorplan")
+        picture = drawn(require_plan(place_map), without_hidden(place_map))
+        _whole_or_not(out, lambda path: path.write_bytes(picture))
+        return
     writers: dict[str, Callable[[Navigation, Path], object]] = {
         "tum": lambda nav, path: path.write_text(format_tum(nav.trajectory)),
         "ply": export_ply,
@@ -71,6 +87,13 @@ def export(
         "colmap": export_colmap,
     }
     _whole_or_not(out, lambda path: writers[file_format](nav, path))
+
+
+def _floorplan_format(out: Path) -> Callable[[FloorPlan, PlaceMap], bytes]:
+    makers = {".svg": floorplan_svg, ".png": floorplan_png, ".json": floorplan_json, ".geojson": floorplan_json}
+    if out.suffix.lower() not in makers:
+        raise DataError(f"{out} does not say how to draw a floor plan; let its name end in .svg, .png or .json")
+    return makers[out.suffix.lower()]
 
 
 def _whole_or_not(out: Path, write: Callable[[Path], object]) -> None:

@@ -147,6 +147,12 @@ def told(judged: JudgedAnswers, hijacks: Sequence[HijackEvent], had_slam: bool, 
             f" recall {_share(summary['recall'])} of {summary['answers_with_truth']} answers with a true position"
         )
         lines.append(
+            f"rooms: {summary['room_right']} of {summary['room_known']} that were named are right,"
+            f" recall {_share(summary['room_recall'])}"
+            if summary["room_known"] is not None
+            else "rooms: the map has none"
+        )
+        lines.append(
             f"position error {_number(summary['position_error_median_m'])} m (median),"
             f" calibration error {_number(summary['calibration_error'])}"
         )

@@ -28,8 +28,8 @@ from station.places.making.changes import without_hidden
 from station.places.making.config import PlacesConfig, ThesisConfig
 from station.places.making.graph import shortest_route, to_graphml, to_json_dict
 from station.places.making.repeatability import repeatability
-from station.places.naming.suggest import with_suggestions
-from station.places.rooms.planning import planned
+from station.places.rooms.edits import require_plan
+from station.places.rooms.planning import planned, with_suggestions
 from station.workers.executors.opening import open_executor
 from station.workers.executors.port import Executor
 from station.workers.mapping import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
@@ -40,6 +40,7 @@ def register(app: typer.Typer) -> None:
     maps.command("build")(build)
     maps.command("show")(show)
     maps.command("route")(route)
+    maps.command("rooms")(rooms)
     map_store.register(maps)
     app.add_typer(maps, name="map")
 
@@ -166,6 +167,55 @@ def _leg(edge: PlaceEdge, place_map: PlaceMap) -> str:
     """Distance and bearing, for a person."""
     unit = " m" if place_map.navigation.is_metric else ""
     return f"{edge.distance:.2f}{unit} at {math.degrees(edge.bearing_rad):.0f} degrees"
+
+
+def rooms(
+    which: MapArgument,
+    data: Data = None,
+    config: Config = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print rooms and doors as JSON on stdout.")] = False,
+) -> None:
+    """List a map's rooms with their areas, doors and places. Of a map older than plans they are found now."""
+    place_map = open_map(which, data, config)
+    if place_map.plan is None:
+        place_map = planned(place_map)
+    plan, unit = require_plan(place_map), " m" if place_map.navigation.is_metric else ""
+    names = {room.id: room.name for room in plan.rooms}
+    places = {
+        room.id: [p.id for p in place_map.places if plan.room_of_place.get(p.id) == room.id] for room in plan.rooms
+    }
+    if as_json:
+        listed = [
+            {
+                "id": room.id,
+                "name": room.name,
+                "area": room.area,
+                "middle": room.middle.tolist(),
+                "places": places[room.id],
+            }
+            for room in plan.rooms
+        ]
+        doors = [
+            {
+                "id": door.id,
+                "rooms": door.rooms,
+                "width": door.width,
+                "ends": door.ends.tolist(),
+                "drawn": door.is_drawn,
+            }
+            for door in plan.doors
+        ]
+        print(json.dumps({"metric": place_map.navigation.is_metric, "rooms": listed, "doors": doors}))
+        return
+    for room in plan.rooms:
+        print(f"{room.name}: {room.area:.1f}{unit}{'²' if unit else ''}, {len(places[room.id])} places")
+    for door in plan.doors:
+        between = [names[room_id] if room_id else "what was not mapped" for room_id in door.rooms]
+        print(
+            f"  door between {' and '.join(between)}: {door.width:.2f}{unit} wide{', drawn' if door.is_drawn else ''}"
+        )
+    if not plan.rooms:
+        print("no room: the navigation saw no free space")
 
 
 def route(

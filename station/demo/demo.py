@@ -16,12 +16,13 @@ from shared.disk import replace_file
 from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
 from station.demo.folder import alone_in, fresh_folder, require_free
-from station.demo.judge import Sample, Verdict, judge
+from station.demo.judge import Sample, TrueRoom, Verdict, judge
 from station.demo.processes import Programs, free_port
 from station.demo.simulator_client import SimulatorClient
 from station.demo.station_client import StationClient
 from station.files.navigation_folder import load_navigation
 from station.model.navigation import Trajectory
+from station.model.place_answer import where
 
 START_TIMEOUT_S = 90.0  # the first start of a flat bakes its textures
 DRIVE_TIMEOUT_S = 240.0
@@ -131,7 +132,9 @@ def map_hijack_and_ask(demo: Demo, data: Path, timings: Timings) -> Outcome:
     with timings.step("navigation2"):
         put_down_ns, samples, navigation2 = hijack_and_drive_again(demo)
     trajectory = load_navigation(data / "navigations" / navigation1 / "navigation").trajectory
-    verdict = judge(trajectory, centroids(places), demo.simulator.truth_log(), samples, put_down_ns)
+    verdict = judge(
+        trajectory, centroids(places), demo.simulator.truth_log(), samples, put_down_ns, middles(demo), true_rooms(demo)
+    )
     return Outcome(verdict, places, trajectory, navigation2)
 
 
@@ -140,15 +143,29 @@ def centroids(places: list[dict[str, Any]]) -> dict[str, FloatArray]:
     return {p["id"]: np.array(p["centroid_map"]) for p in places}
 
 
+def middles(demo: Demo) -> dict[str, FloatArray]:
+    """A free spot (3,) in the middle of each room, map frame: on the plan's ground, whose height says nothing."""
+    R_ground_map = np.array(demo.station.get("/floorplan")["R_ground_map"])
+    return {room["id"]: np.array([*room["middle"], 0.0]) @ R_ground_map for room in demo.station.get("/rooms")}
+
+
+def true_rooms(demo: Demo) -> list[TrueRoom]:
+    """Of the simulated flat."""
+    rooms = demo.simulator.ask(cmd="flat")["rooms"]
+    return [TrueRoom(r["name"], (r["x0_m"], r["y0_m"]), (r["x1_m"], r["y1_m"])) for r in rooms]
+
+
 def start_programs(options: DemoOptions, programs: Programs, data: Path, say: Say) -> Demo:
     """robot-server with simulated devices, and the station; wait until pictures arrive."""
     say(f"simulated robot in world {options.world}, flat {options.seed}; logs in {options.out / 'logs'}")
+    settings = options.out / "robot.toml"
+    settings.write_text(f"[simulated]\nsettings = {json.dumps(str(write_simulation(options.out)))}\n", encoding="utf-8")
     robot_port, sim_port, port = free_port(), free_port(), options.port or free_port()
     programs.start(
         "robot-server",
         "robot.main",
         *("--devices", "simulated", "--world", options.world, "--seed", str(options.seed)),
-        *("--port", str(robot_port), "--sim-port", str(sim_port)),
+        *("--port", str(robot_port), "--sim-port", str(sim_port), "--config", str(settings)),
     )
     serve = ["serve", "--robot", f"127.0.0.1:{robot_port}", "--port", str(port), "--data", str(data)]
     programs.start("station", "station.main", *serve, *(("--backend", options.backend) if options.backend else ()))
@@ -157,6 +174,13 @@ def start_programs(options: DemoOptions, programs: Programs, data: Path, say: Sa
     wait_for(programs, "the robot", lambda: station.get("/robot")["rates"]["frames_hz"] > 1, START_TIMEOUT_S)
     say(f"page, live video and API: {station.address}")
     return Demo(options, programs, station, SimulatorClient(sim_port), sim_port, say)
+
+
+def write_simulation(folder: Path) -> Path:
+    """The simulator's settings: in each room of the flat hangs a sticker with its name."""
+    path = (folder / "simulation.toml").absolute()
+    path.write_text("stickers = true\n", encoding="utf-8")
+    return path
 
 
 def record_drive(demo: Demo, name: str, route: str) -> str:
@@ -203,7 +227,18 @@ def build_map(demo: Demo, navigation: str) -> list[dict[str, Any]]:
     for place in places:
         x, y, _ = place["centroid_map"]
         demo.say(f"    {place['name']:12s} {place['landmarks']:5d} landmarks at ({x:+.1f}, {y:+.1f}) m")
+    name_rooms(demo)
     return places
+
+
+def name_rooms(demo: Demo) -> None:
+    """Give rooms the names that stickers in the flat speak for, as a person does who presses "Use it"."""
+    for room in demo.station.get("/rooms"):
+        for suggestion in room["suggestions"][:1]:
+            demo.station.call("PATCH", f"/rooms/{room['id']}", {"name": suggestion["name"]})
+            demo.say(f"    {room['name']} is the {suggestion['name']}: {suggestion['reason']}")
+    rooms = demo.station.get("/rooms")
+    demo.say("rooms: " + ", ".join(f"{room['name']} ({room['area_m2'] or 0:.0f} m²)" for room in rooms))
 
 
 def wait_for_localisation(demo: Demo) -> None:
@@ -249,17 +284,19 @@ def hijack(demo: Demo) -> int:
 def ask(demo: Demo, told: str) -> tuple[Sample | None, str]:
     """One question for the current place; says it when the answer changed."""
     answer = demo.station.get("/place/current")
-    place = answer["place"]
-    words = f"at {place['name']}" if place else answer["state"]
+    place, room = answer["place"], answer["room"]
+    named = where(place["name"] if place else "", room["name"] if room else "")
+    words = named or answer["state"]
     if words != told:
-        sure = f" ({answer['probability']:.0%})" if place else ""
+        probability = answer["probability"] if place else room["probability"] if room else None
+        sure = "" if probability is None else f" ({probability:.0%})"
         demo.say(f"    current place: {words}{sure}: {answer['reason']}")
     if answer["t_robot_ns"] is None:
         return None, words
-    where = answer["position_map"]
-    position = (where[0], where[1], where[2]) if where else None
-    place_id = place["id"] if place else None
-    return Sample(answer["t_robot_ns"], answer["state"], place_id, answer["probability"], position), words
+    p = answer["position_map"]
+    position = (p[0], p[1], p[2]) if p else None
+    place_id, room_id = place["id"] if place else None, room["id"] if room else None
+    return Sample(answer["t_robot_ns"], answer["state"], place_id, answer["probability"], position, room_id), words
 
 
 def finish(demo: Demo, navigation2: str) -> None:
@@ -350,6 +387,7 @@ def describe(verdict: Verdict) -> str:
     return (
         f"judged by the simulator's truth: {verdict.right} of {known} known answers right, "
         f"{verdict.not_known} not known, "
-        f"first known {when}; map error {verdict.map_error_m:.2f} m, scale {verdict.map_scale:.3f}: "
+        f"first known {when}; {verdict.rooms_right} of {verdict.rooms_right + verdict.rooms_wrong} rooms right; "
+        f"map error {verdict.map_error_m:.2f} m, scale {verdict.map_scale:.3f}: "
         + (f"FAILED: {verdict.shortfall}" if verdict.shortfall else "PASSED")
     )

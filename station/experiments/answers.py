@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -15,9 +15,11 @@ from station.experiments.alignment import align_most_points, align_poses
 from station.experiments.calibration_curve import Bin, calibration_bins, calibration_error
 from station.experiments.evaluation import truth_of_body
 from station.experiments.trajectory_error import interpolate_poses
+from station.model.floor_plan import FloorPlan
 from station.model.navigation import Navigation
 from station.model.place_answer import PlaceAnswer
 from station.model.place_map import Place, PlaceMap
+from station.places.tracking.room_view import RoomView
 
 TIE = 1.1  # so many times the distance of the nearest place: as near, so right too
 LEVER_M = 1.0  # a true position is good to one or two centimetres, an orientation to as much at this distance
@@ -46,6 +48,8 @@ class JudgedAnswers:
     has_truth: np.typing.NDArray[np.bool_]  # (N,) a true position in the map is known
     is_right: np.typing.NDArray[np.bool_]  # (N,) "known", and the place is nearest to the true position
     position_error_m: FloatArray  # (N,) NaN where there is no position or no truth
+    in_room: np.typing.NDArray[np.bool_] | None = None  # (N,) truly in a room of the map; None: it has no rooms
+    is_room_right: np.typing.NDArray[np.bool_] | None = None  # (N,) that room was named, or the one behind a doorway
 
     @property
     def is_judged(self) -> np.typing.NDArray[np.bool_]:
@@ -78,6 +82,20 @@ class JudgedAnswers:
             "calibration_error": calibration_error(self.bins()) if judged else None,
             "truth": self.frame.source,
             "answers_with_truth": asked,
+            **self._room_summary(),
+        }
+
+    def _room_summary(self) -> dict[str, float | int | str | None]:
+        """Rooms are the map's own: whether its walls stand right is not judged here."""
+        if self.in_room is None or self.is_room_right is None or not self.has_truth.any():
+            return dict.fromkeys(("room_known", "room_right", "room_precision", "room_recall"))
+        named = np.array([a.room is not None for a in self.answers], dtype=bool) & self.has_truth
+        known, right, asked = int(named.sum()), int(self.is_room_right.sum()), int(self.in_room.sum())
+        return {
+            "room_known": known,
+            "room_right": right,
+            "room_precision": right / known if known else None,
+            "room_recall": int((self.is_room_right & self.in_room).sum()) / asked if asked else None,
         }
 
 
@@ -99,11 +117,15 @@ def judge_recorded(
         frame = frame_of_answers(answers, p_true)
     else:
         frame = frame_of_map(place_map.navigation, mapping, len(answers))
-    return judge_answers(answers, place_map.places, p_true, frame)
+    return judge_answers(answers, place_map.places, p_true, frame, place_map.plan)
 
 
 def judge_answers(
-    answers: Sequence[PlaceAnswer], places: Sequence[Place], p_true: FloatArray, frame: MapFrame
+    answers: Sequence[PlaceAnswer],
+    places: Sequence[Place],
+    p_true: FloatArray,
+    frame: MapFrame,
+    plan: FloorPlan | None = None,
 ) -> JudgedAnswers:
     """Judge each answer by the place nearest to where the robot truly was; ties within 10 % are right too.
 
@@ -119,7 +141,18 @@ def judge_answers(
         for a, p, true in zip(answers, p_map, has_truth, strict=True)
     ]
     error_m = np.linalg.norm(said - p_map, axis=1) / units_per_m
-    return JudgedAnswers(tuple(answers), frame, has_truth, np.array(is_right, dtype=bool), error_m)
+    judged = JudgedAnswers(tuple(answers), frame, has_truth, np.array(is_right, dtype=bool), error_m)
+    rooms = RoomView.of(plan)
+    if rooms is None:
+        return judged
+    in_room, is_room_right = np.zeros((2, len(judged.answers)), dtype=bool)
+    number = {room.id: i for i, room in enumerate(rooms.plan.rooms)}
+    for k in np.flatnonzero(has_truth):
+        inside, tied = rooms.shares(p_map[k][None])
+        room = judged.answers[k].room
+        in_room[k] = inside.any()
+        is_room_right[k] = room is not None and room.id in number and tied[number[room.id]] > 0
+    return replace(judged, in_room=in_room, is_room_right=is_room_right)
 
 
 def nearest_places(places: Sequence[Place], p_map: FloatArray) -> set[str]:

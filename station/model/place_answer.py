@@ -56,7 +56,7 @@ def where(place: str, room: str) -> str:
     """Names of the place and the room in words, each empty where it is not known: "at Sofa in Living room"."""
     if place and room and not place.startswith(room):
         return f"at {place} in {room}"
-    return f"at {place}" if place else f"in {room}" if room else "nowhere known"
+    return f"at {place}" if place else f"in {room}" if room else ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -27,8 +27,7 @@ from station.places.localisation.index_file import index_of
 from station.places.making.build import build_map
 from station.places.making.config import PlacesConfig, PlacesMode
 from station.places.making.repeatability import repeatability
-from station.places.naming.suggest import with_suggestions
-from station.places.rooms.planning import planned
+from station.places.rooms.planning import planned, with_suggestions
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
 from station.workers.calibration_interface import RECORDING, RESIDUALS, RESULT, PaperSize
@@ -59,9 +58,7 @@ class LibraryJobs(LibraryProgram):
         if earlier is not None:
             place_map = keep_places(earlier, place_map)
         self._emit(Progress(0.7, "finding rooms and doors"))
-        place_map = planned(place_map, earlier)
-        self._emit(Progress(0.75, "looking for stickers that name rooms"))
-        place_map = with_suggestions(place_map)
+        place_map = with_suggestions(planned(place_map, earlier))
         self._emit(Progress(0.8, f"saving {_count(len(place_map.places), 'place')}"))
         store.save(place_map, f"built from {place_map.navigation.id}"[:200])
         self._built = place_map

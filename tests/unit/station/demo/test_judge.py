@@ -7,7 +7,7 @@ import pytest
 
 from shared.errors import EstimationError
 from shared.geometry import FloatArray, inverse, se3, transform, yaw_rotation
-from station.demo.judge import Sample, Verdict, judge
+from station.demo.judge import Sample, TrueRoom, Verdict, is_room_right, judge, true_rooms_of
 from station.model.navigation import Trajectory
 
 RATE_NS = 100_000_000
@@ -110,3 +110,17 @@ def test_each_answer_stands_beside_the_truth(log: Trajectory) -> None:
     truth = np.array(first.position_true)
     assert first.position_error_m == pytest.approx(np.linalg.norm(truth - [0.5, 0.0, 0.0]), abs=2e-3)
     assert (second.right, second.position_error_m) == (None, None)
+
+
+ROOMS = (TrueRoom("kitchen", (-1.0, -2.0), (2.0, 2.0)), TrueRoom("hall", (2.1, -2.0), (6.0, 2.0)))
+
+
+@pytest.mark.parametrize(
+    ("x_m", "named", "right"), [(0.0, "k", True), (4.0, "k", False), (2.4, "k", True), (4.0, "none", False)]
+)
+def test_the_room_is_judged_too_and_both_are_right_in_a_doorway(x_m: float, named: str, right: bool) -> None:
+    middles = {"k": np.array([0.5, 0.0, 0.0]), "h": np.array([4.0, 0.0, 0.0])}
+    true_rooms = true_rooms_of(middles, ROOMS, np.eye(4))
+    assert {room_id: room.name for room_id, room in true_rooms.items()} == {"k": "kitchen", "h": "hall"}
+    assert is_room_right(named, true_rooms, np.array([x_m, 0.0, 0.0])) is right
+    assert is_room_right(None, true_rooms, np.array([x_m, 0.0, 0.0])) is None

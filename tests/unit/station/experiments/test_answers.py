@@ -26,13 +26,14 @@ from station.experiments.answers import (
     true_positions,
 )
 from station.model.frames import ImageFrame
-from station.model.place_answer import HijackEvent, PlaceAnswer, PlaceCandidate, PlaceState
+from station.model.place_answer import HijackEvent, PlaceAnswer, PlaceCandidate, PlaceState, RoomCandidate
 from station.model.place_map import Place
 from station.places.localisation.localizer import Attempt
 from station.places.tracking.tracker import PlaceTracker
 from tests.support.drives.playback import PlayedBackLocalizer
 from tests.support.drives.recorded import LookedAt
 from tests.support.places import make_map, pose, seen
+from tests.support.plans import two_rooms
 from tests.support.synthetic_home import CAMERA, drive, furnished_room, navigate
 
 SECOND = 1_000_000_000
@@ -87,6 +88,7 @@ def test_a_summary_counts_what_was_said_and_judges_what_was_known() -> None:
         "calibration_error": pytest.approx((0.05 + 0.65) / 2),
         "truth": "map",
         "answers_with_truth": 4,
+        **dict.fromkeys(("room_known", "room_right", "room_precision", "room_recall")),
     }
     assert kinds_of(judged) == ["right", "wrong", "unknown", "lost", "known, not judged"]
 
@@ -227,3 +229,19 @@ def test_figures_are_drawn_of_all_states(tmp_path: Path) -> None:
     judged = judge_answers(answers, PLACES, p_true, first_of(IN_THE_TRUTHS_FRAME, 62))
     draw_answers(judged, [HijackEvent(30 * SECOND, "imu", "lifted", 0.9)], "a drive", tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {OVER_TIME, CALIBRATION}
+
+
+def test_rooms_are_judged_by_the_map_where_the_robot_truly_was() -> None:
+    said = [(1.0, "room-l"), (1.0, "room-k"), (2.9, "room-k"), (5.0, None), (50.0, "room-l")]  # true x, room named
+    answers = [
+        PlaceAnswer(
+            "lost", None, None, None, k * SECOND, None, None, 0, (), "because",
+            room=None if room is None else RoomCandidate(room, room, 0.9),
+        )
+        for k, (_, room) in enumerate(said)
+    ]  # fmt: skip
+    p_true = np.array([[x, 0.0, 0.0] for x, _ in said])
+    frame = MapFrame("map", np.tile(np.eye(4), (len(said), 1, 1)))
+    summary = judge_answers(answers, make_map().places, p_true, frame, two_rooms()).summary()
+    assert (summary["room_known"], summary["room_right"]) == (4, 2)
+    assert (summary["room_precision"], summary["room_recall"]) == (0.5, 0.5)

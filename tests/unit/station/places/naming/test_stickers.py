@@ -8,7 +8,8 @@ import zxingcpp
 
 from station.model.floor_plan import NameSuggestion
 from station.model.place_map import PlaceMap
-from station.places.naming.suggest import suggest_names, with_suggestions
+from station.places.naming.suggest import suggest_names
+from station.places.rooms.planning import with_suggestions
 from tests.support.plans import WALL_X, two_rooms
 from tests.support.stickers import code_picture, looking_along_x, map_of_pictures, sticker_picture
 

@@ -1,0 +1,76 @@
+"""Rooms over HTTP: listed, named, drawn, taken back; bad input becomes a problem and changes nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from station.maps.store import MapStore
+from station.model.floor_plan import NameSuggestion
+from station.model.place_map import PlaceMap
+from tests.support.plans import two_rooms
+from tests.support.station import store_map
+from tests.support.station_at_work import at_work, is_problem
+
+SUGGESTION = NameSuggestion("room-k", "Kitchen", "sticker", 0.98, "a sticker says so", 0)
+
+
+def store_planned(data_dir: Path) -> PlaceMap:
+    place_map = store_map(data_dir)
+    rooms = dict.fromkeys((place.id for place in place_map.places), "room-l")
+    planned = replace(place_map, plan=replace(two_rooms(), room_of_place=rooms), suggestions=(SUGGESTION,))
+    store = MapStore(data_dir / "maps")
+    store.save(planned)
+    store.close()
+    return planned
+
+
+async def test_rooms_are_listed_named_drawn_and_taken_back(tmp_path: Path) -> None:
+    planned = store_planned(tmp_path)
+    async with at_work(tmp_path) as (desk, _, _):
+        http = desk.http
+        await http.put("/maps/active", json={"id": planned.id})
+        lounge, other = (await http.get("/rooms")).json()
+        assert (lounge["name"], lounge["doors"]) == ("Living room", ["door-lk"])
+        assert len(lounge["places"]) == len(planned.places) and lounge["suggestions"] == []
+        assert [(s["name"], s["source"]) for s in other["suggestions"]] == [("Kitchen", "sticker")]
+        assert (await http.get("/places")).json()[0]["room"] == "room-l"
+        named = (await http.patch("/rooms/room-k", json={"name": " Kitchen "})).json()
+        assert (named["name"], named["named"], named["suggestions"]) == ("Kitchen", True, [])
+        plan = (await http.get("/floorplan")).json()
+        assert [room["name"] for room in plan["rooms"]] == ["Living room", "Kitchen"]
+        assert plan["metric"] and len(plan["places"]) == len(planned.places)
+        for form, begin in (("svg", b"<svg"), ("png", b"\x89PNG"), ("geojson", b'{"type": "FeatureCollection"')):
+            assert (await http.get("/floorplan", params={"format": form})).content.startswith(begin)
+        assert (await http.get("/places/changes")).json()[0]["why"] == "Room 2 is Kitchen now"
+        await http.post("/places/undo")
+        assert (await http.get("/rooms/room-k")).json()["name"] == "Room 2"
+
+
+async def test_what_cannot_be_done_with_rooms_is_a_problem(tmp_path: Path) -> None:
+    planned = store_planned(tmp_path)
+    async with at_work(tmp_path) as (desk, _, _):
+        http = desk.http
+        assert is_problem(await http.get("/rooms"), 409)
+        await http.put("/maps/active", json={"id": planned.id})
+        assert is_problem(await http.get("/rooms/none"), 404)
+        assert is_problem(await http.patch("/rooms/none", json={"name": "Hall"}), 404)
+        assert is_problem(await http.patch("/rooms/room-k", json={"name": "living ROOM"}), 409)
+        assert is_problem(await http.patch("/rooms/room-k", json={"name": "\x1b"}), 422)
+        assert is_problem(await http.post("/rooms/merge", json={"rooms": ["room-l"]}), 422)
+        assert is_problem(await http.post("/rooms/merge", json={"rooms": ["room-l", "room-l"]}), 409)
+        assert is_problem(await http.post("/rooms/split", json={"line": [[0, 0], [0, 1, 2]]}), 422)
+        assert is_problem(await http.post("/rooms/split", json={"line": [[1.0, 0.0], [1.0, 0.01]]}), 409)
+        assert is_problem(await http.delete("/doors/none"), 404)
+        assert is_problem(await http.delete("/doors/door-k"), 409)
+        assert is_problem(await http.get("/floorplan", params={"format": "bmp"}), 422)
+        assert [room["name"] for room in (await http.get("/rooms")).json()] == ["Living room", "Room 2"]
+
+
+async def test_a_map_without_a_plan_says_how_to_get_one(tmp_path: Path) -> None:
+    place_map = store_map(tmp_path)
+    async with at_work(tmp_path) as (desk, _, _):
+        await desk.http.put("/maps/active", json={"id": place_map.id})
+        answer = await desk.http.get("/floorplan")
+        assert is_problem(answer, 409) and "build it again" in answer.json()["detail"]
+        assert (await desk.http.get("/place/current")).json()["room"] is None

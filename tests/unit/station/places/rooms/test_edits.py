@@ -1,0 +1,104 @@
+"""What people make of rooms holds in the plan made anew: names, doors drawn and erased, rooms that are one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from shared.errors import DataError
+from station.model.floor_plan import FloorPlan
+from station.model.place_map import PlaceMap
+from station.places.rooms import edits as edits_module
+from station.places.rooms.edits import (
+    require_plan,
+    room_id_at,
+    with_door_erased,
+    with_room_renamed,
+    with_room_split,
+    with_rooms_merged,
+)
+from station.places.rooms.planning import planned
+from tests.support.places import make_map
+from tests.support.plans import with_two_rooms
+from tests.support.rooms import room_with_a_door
+
+
+@pytest.fixture(scope="module")
+def one_room() -> PlaceMap:
+    """A plan as it is made of a navigation."""
+    made = planned(room_with_a_door())
+    assert len(require_plan(made).rooms) == 1
+    return made
+
+
+def across(plan: FloorPlan) -> np.ndarray:
+    """A line through the middle of the first room, longer than it."""
+    x, y = plan.rooms[0].middle
+    return np.array([[x, y - 6.0], [x, y + 6.0]])
+
+
+def test_a_name_is_kept_when_the_plan_is_made_anew(one_room: PlaceMap) -> None:
+    room = require_plan(one_room).rooms[0]
+    named = with_room_renamed(one_room, room.id, "Kitchen")
+    assert [r.name for r in require_plan(named).rooms] == ["Kitchen"]
+    assert [(r.id, r.name) for r in require_plan(planned(named)).rooms] == [(room.id, "Kitchen")]
+
+
+def test_names_are_unique_whatever_their_letters() -> None:
+    with pytest.raises(DataError, match="another room named"):
+        with_room_renamed(with_two_rooms(make_map()), "room-k", "LIVING room")
+
+
+def test_a_door_that_was_drawn_parts_the_room_and_erased_it_is_one_again(one_room: PlaceMap) -> None:
+    room = require_plan(one_room).rooms[0]
+    parted = with_room_split(with_room_renamed(one_room, room.id, "Salon"), across(require_plan(one_room)))
+    plan = require_plan(parted)
+    assert len(plan.rooms) == 2 and [r.name for r in plan.rooms if r.id == room.id] == ["Salon"]
+    [door] = [door for door in plan.doors if door.is_drawn]
+    whole = with_door_erased(parted, door.id)
+    assert [(r.id, r.name) for r in require_plan(whole).rooms] == [(room.id, "Salon")]
+    assert whole.plan_edits.doors_drawn == ()
+
+
+def test_merged_rooms_keep_id_and_name_of_the_first(one_room: PlaceMap) -> None:
+    parted = with_room_split(one_room, across(require_plan(one_room)))
+    for wanted in require_plan(parted).rooms:
+        others = [room.id for room in require_plan(parted).rooms if room.id != wanted.id]
+        [merged] = require_plan(with_rooms_merged(parted, [wanted.id, *others])).rooms
+        assert (merged.id, merged.name) == (wanted.id, wanted.name)
+
+
+def test_a_line_that_parts_nothing_is_refused(one_room: PlaceMap) -> None:
+    beside = require_plan(one_room).rooms[0].middle + 50.0
+    with pytest.raises(DataError, match="parts no room"):
+        with_room_split(one_room, np.array([beside, beside + 1.0]))
+    with pytest.raises(DataError, match="too short"):
+        with_room_split(one_room, np.array([beside, beside]))
+
+
+def test_what_there_is_not_is_refused_by_name() -> None:
+    flat = with_two_rooms(make_map())
+    for change, words in (
+        (lambda: with_room_renamed(flat, "room-x", "Hall"), 'no room with id "room-x"'),
+        (lambda: with_door_erased(flat, "door-x"), 'no door with id "door-x"'),
+        (lambda: with_door_erased(flat, "door-k"), "nobody went through"),
+        (lambda: with_rooms_merged(flat, ["room-l", "room-l"]), "two different rooms"),
+        (lambda: with_room_renamed(make_map(), "room-l", "Hall"), "has no floor plan"),
+    ):
+        with pytest.raises(DataError, match=words):
+            change()
+
+
+def test_edits_are_bounded(one_room: PlaceMap, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(edits_module, "MAX_EDITS", 0)
+    with pytest.raises(DataError, match="at most 0 doors"):
+        with_room_split(one_room, across(require_plan(one_room)))
+
+
+def test_a_position_is_in_the_room_that_the_plan_says() -> None:
+    plan = require_plan(with_two_rooms(make_map()))
+    turned = replace(plan, R_ground_map=np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
+    assert room_id_at(turned, np.array([5.0, 0.0])) == "room-k"
+    assert room_id_at(turned, np.array([50.0, 0.0])) is None
