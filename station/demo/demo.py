@@ -158,12 +158,14 @@ def true_rooms(demo: Demo) -> list[TrueRoom]:
 def start_programs(options: DemoOptions, programs: Programs, data: Path, say: Say) -> Demo:
     """robot-server with simulated devices, and the station; wait until pictures arrive."""
     say(f"simulated robot in world {options.world}, flat {options.seed}; logs in {options.out / 'logs'}")
+    settings = options.out / "robot.toml"
+    settings.write_text(f"[simulated]\nsettings = {json.dumps(str(write_simulation(options.out)))}\n", encoding="utf-8")
     robot_port, sim_port, port = free_port(), free_port(), options.port or free_port()
     programs.start(
         "robot-server",
         "robot.main",
         *("--devices", "simulated", "--world", options.world, "--seed", str(options.seed)),
-        *("--port", str(robot_port), "--sim-port", str(sim_port)),
+        *("--port", str(robot_port), "--sim-port", str(sim_port), "--config", str(settings)),
     )
     serve = ["serve", "--robot", f"127.0.0.1:{robot_port}", "--port", str(port), "--data", str(data)]
     programs.start("station", "station.main", *serve, *(("--backend", options.backend) if options.backend else ()))
@@ -172,6 +174,13 @@ def start_programs(options: DemoOptions, programs: Programs, data: Path, say: Sa
     wait_for(programs, "the robot", lambda: station.get("/robot")["rates"]["frames_hz"] > 1, START_TIMEOUT_S)
     say(f"page, live video and API: {station.address}")
     return Demo(options, programs, station, SimulatorClient(sim_port), sim_port, say)
+
+
+def write_simulation(folder: Path) -> Path:
+    """The simulator's settings: in each room of the flat hangs a sticker with its name."""
+    path = (folder / "simulation.toml").absolute()
+    path.write_text("stickers = true\n", encoding="utf-8")
+    return path
 
 
 def record_drive(demo: Demo, name: str, route: str) -> str:

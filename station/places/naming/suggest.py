@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from station.model.floor_plan import FloorPlan, NameSuggestion
 from station.model.place_map import PlaceMap
 from station.places.naming.stickers import stickers_in
@@ -12,9 +10,3 @@ from station.places.naming.stickers import stickers_in
 def suggest_names(place_map: PlaceMap, plan: FloorPlan) -> tuple[NameSuggestion, ...]:
     """All suggestions for the rooms of a plan that are not their names yet."""
     return stickers_in(place_map, plan)
-
-
-def with_suggestions(place_map: PlaceMap) -> PlaceMap:
-    """The map with what its pictures suggest; none without a plan."""
-    found = () if place_map.plan is None else suggest_names(place_map, place_map.plan)
-    return replace(place_map, suggestions=found)

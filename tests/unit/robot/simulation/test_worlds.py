@@ -104,3 +104,12 @@ def test_every_surface_is_covered_by_its_texture(name: str) -> None:
             density = surface.texture.texels_per_m
             assert (surface.u0_m + surface.width_m) * density <= width_px + 2.0
             assert (surface.v0_m + surface.height_m) * density <= height_px + 2.0
+
+
+def test_stickers_name_every_room_and_change_nothing_else() -> None:
+    for name in ("small", "home", "plain"):
+        bare, named = make_world(name, 3), make_world(name, 3, SimulationConfig(stickers=True))
+        hung = named.surfaces[len(bare.surfaces) :]
+        assert named.surfaces[: len(bare.surfaces)] == bare.surfaces and named.obstacles == bare.obstacles
+        assert [s.texture.text.casefold() for s in hung] == [named.rooms[s.room].name.casefold() for s in hung]
+        assert len({s.room for s in hung}) == len(named.rooms)

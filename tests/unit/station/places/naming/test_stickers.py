@@ -1,0 +1,72 @@
+"""A sticker names the room on whose side it hangs, or none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import zxingcpp
+
+from station.model.floor_plan import NameSuggestion
+from station.model.place_map import PlaceMap
+from station.places.naming.suggest import suggest_names
+from station.places.rooms.planning import with_suggestions
+from tests.support.plans import WALL_X, two_rooms
+from tests.support.stickers import code_picture, looking_along_x, map_of_pictures, sticker_picture
+
+
+def suggested(name: str, at: list[tuple[float, float]], distance_m: float = 1.5) -> tuple[NameSuggestion, ...]:
+    pictures = [sticker_picture(name, distance_m)] * len(at)
+    return suggest_names(map_of_pictures(pictures, [looking_along_x(*xy) for xy in at]), two_rooms())
+
+
+def test_a_sticker_seen_once_names_its_room_and_shows_where() -> None:
+    (found,) = suggested("Kitchen", [(5.4, 1.0)])
+    assert (found.room, found.name, found.source, found.keyframe_index) == ("room-k", "Kitchen", "sticker", 0)
+    assert "1.5 m" in found.reason and found.confidence > 0.9
+    assert found.corners_px is not None
+    np.testing.assert_allclose(found.corners_px.mean(axis=0), [319.5, 239.5], atol=1.0)
+
+
+def test_a_sticker_on_the_near_side_of_a_wall_names_this_room() -> None:
+    (found,) = suggested("Parlour", [(WALL_X - 1.5, 1.2)])
+    assert found.room == "room-l"
+
+
+def test_a_sticker_seen_through_a_door_names_the_room_behind_it() -> None:
+    (found,) = suggested("Kitchen", [(WALL_X - 0.5, 0.0)], distance_m=1.6)
+    assert found.room == "room-k"
+
+
+def test_a_sticker_whose_distance_leaves_the_room_open_names_none() -> None:
+    assert suggested("Kitchen", [(WALL_X - 1.25, 0.0)]) == ()  # a quarter of a metre behind an open door
+
+
+def test_two_stickers_that_read_alike_name_a_room_each() -> None:
+    assert {s.room for s in suggested("Bedroom", [(1.4, 1.2), (5.4, 1.0)])} == {"room-l", "room-k"}
+
+
+def test_several_pictures_of_one_sticker_are_one_suggestion() -> None:
+    (found,) = suggested("Kitchen", [(5.4, 1.0), (5.4, 1.1), (5.4, 0.9)])
+    assert "3 pictures" in found.reason
+
+
+def test_a_room_that_has_the_name_already_gets_no_suggestion() -> None:
+    assert suggested("Living room", [(1.4, 1.2)]) == ()
+
+
+@pytest.mark.parametrize("text", ["WIFI:S:home;T:WPA;P:secret;;", "https://example.org/kitchen", "4006381333931"])
+def test_codes_about_something_else_name_nothing(text: str) -> None:
+    code = zxingcpp.create_barcode(text, zxingcpp.BarcodeFormat.QRCode, ec_level="L")
+    picture = code_picture(np.array(code.to_image(scale=1, add_quiet_zones=False)) == 0, 1.0)
+    assert suggest_names(map_of_pictures([picture], [looking_along_x(5.4, 1.0)]), two_rooms()) == ()
+
+
+def test_a_damaged_picture_is_passed_over() -> None:
+    pictures = [b"no picture", sticker_picture("Kitchen", 1.5)]
+    found = suggest_names(map_of_pictures(pictures, [looking_along_x(5.4, 1.0)] * 2), two_rooms())
+    assert [s.keyframe_index for s in found] == [1]
+
+
+def test_a_map_without_a_plan_gets_no_suggestions() -> None:
+    place_map: PlaceMap = map_of_pictures([sticker_picture("Kitchen", 1.5)], [looking_along_x(5.4, 1.0)])
+    assert with_suggestions(place_map).suggestions == ()

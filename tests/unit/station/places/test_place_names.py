@@ -1,0 +1,56 @@
+"""Places that no person named are called after their rooms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from station.model.floor_plan import FloorPlan
+from station.model.place_map import Place
+from station.places.making.names import has_own_name
+from station.places.rooms.place_names import named_by_rooms
+from tests.support.plans import two_rooms
+
+
+def place(number: int, x: float, name: str = "") -> Place:
+    index = np.zeros(0, np.int64)
+    return Place(f"p{number}", name or f"Place {number}", np.array([x, 1.0, 0.3]), 0.3, index, index, -1, 1.0)
+
+
+def plan_of(rooms: dict[str, str]) -> FloorPlan:
+    return replace(two_rooms(), room_of_place=rooms)
+
+
+def names(places: tuple[Place, ...]) -> list[str]:
+    return [place.name for place in places]
+
+
+def test_places_are_numbered_within_their_rooms() -> None:
+    plan = plan_of({"p7": "room-k", "p8": "room-k", "p9": "room-l"})
+    made = named_by_rooms([place(7, 5.0), place(8, 6.0), place(9, 0.0), place(12, 9.0)], plan)
+    assert names(made) == ["Room 2 · 1", "Room 2 · 2", "Living room · 1", "Place 1"]
+    assert not any(has_own_name(name) for name in names(made))
+
+
+def test_a_renamed_room_renames_its_places_and_each_keeps_its_number() -> None:
+    plan = plan_of({"p1": "room-k", "p2": "room-k"})
+    places = [place(1, 5.0, "Room 2 · 4"), place(2, 6.0, "Room 2 · 2")]
+    renamed = replace(plan, rooms=(plan.rooms[0], replace(plan.rooms[1], name="Kitchen")))
+    assert names(named_by_rooms(places, renamed)) == ["Kitchen · 4", "Kitchen · 2"]
+
+
+def test_a_name_that_a_person_gave_stays_and_is_not_given_again() -> None:
+    plan = plan_of({"p1": "room-k", "p2": "room-k"})
+    assert names(named_by_rooms([place(1, 5.0, "Sofa"), place(2, 6.0)], plan)) == ["Sofa", "Room 2 · 1"]
+
+
+def test_naming_twice_changes_nothing() -> None:
+    plan = plan_of({f"p{n}": "room-k" if n % 2 else "room-l" for n in range(1, 9)})
+    once = named_by_rooms([place(n, float(n)) for n in range(1, 9)], plan)
+    assert names(named_by_rooms(once, plan)) == names(once)
+
+
+def test_the_place_beside_the_only_door_is_called_by_it() -> None:
+    plan = plan_of({"p1": "room-l", "p2": "room-l"})
+    assert names(named_by_rooms([place(1, 0.0), place(2, 2.6)], plan)) == ["Living room · 1", "Living room · door side"]
