@@ -208,7 +208,7 @@ def rooms(
         print(json.dumps({"metric": place_map.navigation.is_metric, "rooms": listed, "doors": doors}))
         return
     for room in plan.rooms:
-        print(f"{room.name}: {room.area:.1f}{unit}{'²' if unit else ''}, {len(places[room.id])} places")
+        print(f"{room.name}: {room.area:.1f}{unit}{'²' if unit else ''}, {_count(len(places[room.id]), 'place')}")
     for door in plan.doors:
         between = [names[room_id] if room_id else "what was not mapped" for room_id in door.rooms]
         print(
@@ -216,6 +216,10 @@ def rooms(
         )
     if not plan.rooms:
         print("no room: the navigation saw no free space")
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}{'' if number == 1 else 's'}"
 
 
 def route(

@@ -1,4 +1,4 @@
-"""The floor plan on the page: seen first, rooms are named by clicking into them, doors are erased, all is taken back."""
+"""The floor plan on the page: seen first, rooms are named by clicking into them, and it is taken back."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from playwright.async_api import expect
 from tests.e2e.conftest import Room
 from tests.integration.test_rooms_api import store_planned
 
-pytestmark = pytest.mark.asyncio(loop_scope="module")
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(400), pytest.mark.asyncio(loop_scope="module")]
 
 
 async def test_a_room_is_named_by_clicking_into_it_and_by_a_suggestion(room: Room) -> None:
