@@ -28,9 +28,8 @@ from station.places.making.changes import without_hidden
 from station.places.making.config import PlacesConfig, ThesisConfig
 from station.places.making.graph import shortest_route, to_graphml, to_json_dict
 from station.places.making.repeatability import repeatability
-from station.places.naming.suggest import with_suggestions
 from station.places.rooms.edits import require_plan
-from station.places.rooms.planning import planned
+from station.places.rooms.planning import planned, with_suggestions
 from station.places.rooms.summary import plan_lines, plan_summary
 from station.workers.executors.opening import open_executor
 from station.workers.executors.port import Executor
@@ -187,6 +186,10 @@ def _leg(edge: PlaceEdge, place_map: PlaceMap) -> str:
     """Distance and bearing, for a person."""
     unit = " m" if place_map.navigation.is_metric else ""
     return f"{edge.distance:.2f}{unit} at {math.degrees(edge.bearing_rad):.0f} degrees"
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}{'' if number == 1 else 's'}"
 
 
 def route(

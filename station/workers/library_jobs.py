@@ -10,7 +10,6 @@ from typing import Any
 
 from shared.calibration import CameraCalibration
 from shared.errors import DataError
-from station.calibration.camera_imu.guided import estimate_camera_imu
 from station.calibration.guided import estimate_camera, store_result
 from station.calibration.target import Target, TargetKind
 from station.datasets import open_dataset
@@ -28,8 +27,7 @@ from station.places.localisation.index_file import index_of
 from station.places.making.build import build_map
 from station.places.making.config import PlacesConfig, PlacesMode
 from station.places.making.repeatability import repeatability
-from station.places.naming.suggest import with_suggestions
-from station.places.rooms.planning import planned
+from station.places.rooms.planning import planned, with_suggestions
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
 from station.workers.calibration_interface import RECORDING, RESIDUALS, RESULT, PaperSize
@@ -60,9 +58,7 @@ class LibraryJobs(LibraryProgram):
         if earlier is not None:
             place_map = keep_places(earlier, place_map)
         self._emit(Progress(0.7, "finding rooms and doors"))
-        place_map = planned(place_map, earlier)
-        self._emit(Progress(0.75, "looking for stickers that name rooms"))
-        place_map = with_suggestions(place_map)
+        place_map = with_suggestions(planned(place_map, earlier))
         self._emit(Progress(0.8, f"saving {_count(len(place_map.places), 'place')}"))
         store.save(place_map, f"built from {place_map.navigation.id}"[:200])
         self._built = place_map
@@ -120,17 +116,12 @@ class LibraryJobs(LibraryProgram):
     def calibrate_camera(
         self, folder: Path, times_ns: list[int], target: Target, told: CameraCalibration
     ) -> dict[str, Any]:
-        result = estimate_camera(folder / RECORDING, times_ns, target, told, folder / RESIDUALS, self._progress)
+        def progress(share: float, text: str) -> None:
+            self._emit(Progress(share, text))
+
+        result = estimate_camera(folder / RECORDING, times_ns, target, told, folder / RESIDUALS, progress)
         store_result(result, folder / RESULT)
         return result
-
-    def calibrate_camera_imu(self, folder: Path, target: Target, told: CameraCalibration) -> dict[str, Any]:
-        result = estimate_camera_imu(folder / RECORDING, target, told, folder / RESIDUALS, self._progress)
-        store_result(result, folder / RESULT)
-        return result
-
-    def _progress(self, share: float, text: str) -> None:
-        self._emit(Progress(share, text))
 
     def target_page(self, kind: TargetKind, size: PaperSize) -> bytes:
         return _pdf(kind, size)

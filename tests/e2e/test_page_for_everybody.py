@@ -118,7 +118,7 @@ async def test_the_keyboard_reaches_everything_and_works_it(room: Room) -> None:
     await expect(page.locator(f"[data-place='{place_map.places[0].id}']")).to_have_count(1)
     reached = await tab_through(page)
     wanted = ["theme", "stick", "speed", "stop", "record", "hijack", "Events", "More about Drive nav-1",
-              "Delete Drive nav-1", "Map", "Top", place_map.places[0].name]  # fmt: skip
+              "Delete Drive nav-1", "3D", "Top", place_map.places[0].name]  # fmt: skip
     assert [name for name in wanted if name not in reached] == []
     assert "pan" in reached  # one may look around also while a map is in use
 

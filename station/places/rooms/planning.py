@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from station.model.floor_plan import FloorPlan
 from station.model.place_map import PlaceMap
+from station.places.naming.suggest import suggest_names
 from station.places.rooms.place_names import named_by_rooms
 from station.places.rooms.plan import make_floor_plan
 
@@ -25,3 +26,10 @@ def with_plan(place_map: PlaceMap, plan: FloorPlan) -> PlaceMap:
     suggestions = tuple(suggestion for suggestion in place_map.suggestions if suggestion.room in ids)
     places = named_by_rooms(place_map.places, plan)
     return replace(place_map, places=places, plan=plan, suggestions=suggestions)
+
+
+def with_suggestions(place_map: PlaceMap) -> PlaceMap:
+    """The map with names that something in its pictures speaks for. Looks at every picture; nothing is named yet."""
+    if place_map.plan is None:
+        return place_map
+    return replace(place_map, suggestions=suggest_names(place_map, place_map.plan))

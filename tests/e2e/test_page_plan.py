@@ -1,0 +1,30 @@
+"""The floor plan on the page: seen first, rooms are named by clicking into them, and it is taken back."""
+
+from __future__ import annotations
+
+import pytest
+from playwright.async_api import expect
+
+from tests.e2e.conftest import Room
+from tests.integration.test_rooms_api import store_planned
+
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(400), pytest.mark.asyncio(loop_scope="module")]
+
+
+async def test_a_room_is_named_by_clicking_into_it_and_by_a_suggestion(room: Room) -> None:
+    planned = store_planned(room.desk.station.config.data_dir)
+    page = await room.open()
+    await room.desk.http.put("/maps/active", json={"id": planned.id})
+    await expect(page.locator("[data-layer=plan]")).to_have_attribute("aria-pressed", "true")
+    await expect(page.locator(".plan-room")).to_have_count(2)
+    await page.locator(".plan-room[data-room=room-l]").press("Enter")
+    await page.locator("#room-name").fill("Lounge")
+    await page.keyboard.press("Enter")
+    await expect(page.locator(".plan-names text[data-room=room-l]")).to_have_text("Lounge")
+    await page.locator(".plan-room[data-room=room-k]").press("Enter")
+    await page.locator("#room-dialog").get_by_role("button", name="Use it").click()
+    await expect(page.locator(".plan-names text[data-room=room-k]")).to_have_text("Kitchen")
+    await page.locator("#toast").get_by_role("button", name="Undo").click()
+    await expect(page.locator(".plan-names text[data-room=room-k]")).to_have_text("Room 2")
+    await page.locator("[data-layer=map]").click()
+    await expect(page.locator("#plan")).to_be_hidden()
