@@ -28,6 +28,7 @@ from benchmarks.fit_image_evidence import without
 from benchmarks.make_drives import Job, jobs_of, make_missing
 from benchmarks.result import Figure, Run, add_results_option, share, work_folder
 from station.experiments.calibration_curve import calibration_bins, draw_calibration
+from station.places.rooms.planning import planned
 from station.places.tracking.config import BeliefConfig
 from station.places.tracking.fitted import read_fitted
 from station.places.tracking.tracker import PlaceTracker
@@ -37,12 +38,15 @@ from tests.support.drives.judging import JudgedDrive, Share, Summary, judge_driv
 from tests.support.drives.misfit import wrong_percent
 from tests.support.drives.playback import play_back
 from tests.support.drives.recorded import generator_of
+from tests.support.drives.room_judging import RoomDrive, judge_rooms, summarise_rooms
 from tests.support.drives.simulated import DriveOptions
 from tests.support.likelihood_fit import numbers
 
 WEAKEST = 5
 # Asked, per cent. Recall is of the answers in mapped rooms, by kind or by recording.
 PRECISION, SILENT, FOUND_AGAIN, NOTICED = 99.0, 95.0, 90.0, 95.0
+ROOM_PRECISION, ROOM_KNOWN, ROOM_SILENT, ROOM_FOUND_S = 99.0, 95.0, 95.0, 3.0
+ROOM_CALIBRATION_ERROR = 0.03
 RECALL = {"home": 85.0, "small": 85.0, "plain": 80.0, "kitchen": 85.0, "v101_halves": 75.0, "v102": 80.0}
 WORST_RECALL = 70.0  # of a single flat
 BADLY_WRONG, BADLY_WRONG_PRECISION = 2.0, 98.0  # with more per cent wrong it may be silent
@@ -61,6 +65,7 @@ class JudgedWorld:
     map_scale: float | None  # true length per length of the map
     map_error_m: float | None
     drives: tuple[JudgedDrive, ...]
+    rooms: tuple[RoomDrive, ...] = ()
 
     @property
     def group(self) -> str:
@@ -78,11 +83,15 @@ def judge_world(path: Path, leave_kind_out: bool = False) -> JudgedWorld:
         make_tracker = partial(PlaceTracker, config=BeliefConfig(fitted=fitted))
         place_map, quality = world.place_map, world.quality
         drives: list[JudgedDrive] = []
+        rooms: list[RoomDrive] = []
         if place_map is not None:
-            drives += [judge_drive(place_map, d, play_back(place_map, d, make_tracker)) for d in world.drives]
+            place_map = planned(place_map)
+            played = [(d, play_back(place_map, d, make_tracker)) for d in world.drives]
+            drives += [judge_drive(place_map, d, answers) for d, answers in played]
+            rooms += [judge_rooms(place_map, d, answers) for d, answers in played]
     scale, error_m = (quality.scale, quality.error_m) if quality else (None, None)
     wrong = wrong_percent(world.misfit)
-    return JudgedWorld(world.kind, world.name, wrong, world.failure, scale, error_m, tuple(drives))
+    return JudgedWorld(world.kind, world.name, wrong, world.failure, scale, error_m, tuple(drives), tuple(rooms))
 
 
 def described(summary: Summary) -> str:
@@ -153,6 +162,7 @@ def figures_of(group: str, worlds: Sequence[JudgedWorld]) -> list[Figure]:
     return [
         *found,
         silent,
+        *room_figures(group, [drive for world in worlds for drive in world.rooms]),
         part("right place within 10 s after a hijack to a mapped room", summary.found_again, asked(FOUND_AGAIN)),
         part("hijack noticed within 2 s", summary.noticed, asked(NOTICED)),
         part("answers left out in doorways", summary.left_out, None),
@@ -164,6 +174,30 @@ def figures_of(group: str, worlds: Sequence[JudgedWorld]) -> list[Figure]:
             of=len(worlds),
         ),
         Figure(f"{group}: worlds without a map", sum(bool(world.failure) for world in worlds), of=len(worlds)),
+    ]
+
+
+def room_figures(group: str, drives: Sequence[RoomDrive]) -> list[Figure]:
+    """What is asked of the current room."""
+    rooms = summarise_rooms(drives)
+    precision, known, silent = rooms.precision, rooms.known, rooms.silent
+    return [
+        share(f"{group}: room right of all that is named", precision.count, precision.of, at_least=ROOM_PRECISION),
+        share(f"{group}: room named in mapped rooms", known.count, known.of, at_least=ROOM_KNOWN),
+        share(f"{group}: no room named where the map has nothing", silent.count, silent.of, at_least=ROOM_SILENT),
+        Figure(
+            f"{group}: expected calibration error of the room",
+            rooms.calibration_error,
+            at_most=ROOM_CALIBRATION_ERROR,
+            of=precision.of,
+        ),
+        Figure(
+            f"{group}: right room after a hijack, median",
+            rooms.found_again_s,
+            "s",
+            at_most=ROOM_FOUND_S,
+            of=sum(drive.was_put_down for drive in drives),
+        ),
     ]
 
 
@@ -200,6 +234,8 @@ def print_report(groups: dict[str, list[JudgedWorld]]) -> None:
     for group, worlds in groups.items():
         print(f"{group}: {len(worlds)} worlds")
         print(described(summarise([drive for world in worlds for drive in world.drives])))
+        for figure in room_figures(group, [drive for world in worlds for drive in world.rooms]):
+            print(f"  {figure.what}: {figure.value}")
         print("  weakest:")
         for world in sorted(worlds, key=recall_of)[:WEAKEST]:
             print(f"  - {line(world)}")

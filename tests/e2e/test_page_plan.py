@@ -6,13 +6,13 @@ import pytest
 from playwright.async_api import expect
 
 from tests.e2e.conftest import Room
-from tests.integration.test_rooms_api import store_planned
+from tests.support.station import store_planned_map
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(400), pytest.mark.asyncio(loop_scope="module")]
 
 
 async def test_a_room_is_named_by_clicking_into_it_and_by_a_suggestion(room: Room) -> None:
-    planned = store_planned(room.desk.station.config.data_dir)
+    planned = store_planned_map(room.desk.station.config.data_dir)
     page = await room.open()
     await room.desk.http.put("/maps/active", json={"id": planned.id})
     await expect(page.locator("[data-layer=plan]")).to_have_attribute("aria-pressed", "true")

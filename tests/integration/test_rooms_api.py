@@ -2,31 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
-from station.maps.store import MapStore
-from station.model.floor_plan import NameSuggestion
-from station.model.place_map import PlaceMap
-from tests.support.plans import two_rooms
-from tests.support.station import store_map
+from tests.support.station import store_map, store_planned_map
 from tests.support.station_at_work import at_work, is_problem
-
-SUGGESTION = NameSuggestion("room-k", "Kitchen", "sticker", 0.98, "a sticker says so", 0)
-
-
-def store_planned(data_dir: Path) -> PlaceMap:
-    place_map = store_map(data_dir)
-    rooms = dict.fromkeys((place.id for place in place_map.places), "room-l")
-    planned = replace(place_map, plan=replace(two_rooms(), room_of_place=rooms), suggestions=(SUGGESTION,))
-    store = MapStore(data_dir / "maps")
-    store.save(planned)
-    store.close()
-    return planned
 
 
 async def test_rooms_are_listed_named_drawn_and_taken_back(tmp_path: Path) -> None:
-    planned = store_planned(tmp_path)
+    planned = store_planned_map(tmp_path)
     async with at_work(tmp_path) as (desk, _, _):
         http = desk.http
         await http.put("/maps/active", json={"id": planned.id})
@@ -48,7 +31,7 @@ async def test_rooms_are_listed_named_drawn_and_taken_back(tmp_path: Path) -> No
 
 
 async def test_what_cannot_be_done_with_rooms_is_a_problem(tmp_path: Path) -> None:
-    planned = store_planned(tmp_path)
+    planned = store_planned_map(tmp_path)
     async with at_work(tmp_path) as (desk, _, _):
         http = desk.http
         assert is_problem(await http.get("/rooms"), 409)

@@ -25,7 +25,7 @@ from schemathesis.specs.openapi.checks import (
 
 from station.library.comparisons import Comparison, Comparisons
 from station.model.place_map import PlaceMap
-from tests.support.station import store_map
+from tests.support.station import store_planned_map
 from tests.support.station_at_work import keep_navigation
 
 CHECKS = [
@@ -66,7 +66,7 @@ class Asked:
 
 def furnish(data_dir: Path) -> tuple[PlaceMap, dict[str, list[Any]]]:
     """One of everything in a station's folder; and what it is called, by the names of parameters and fields."""
-    place_map = store_map(data_dir)
+    place_map = store_planned_map(data_dir)
     drives = [keep_navigation(data_dir, name).id for name in ("nav-1", "nav-2")]
     comparisons = Comparisons(data_dir / "comparisons")
     comparison_id, folder = comparisons.prepare()
@@ -77,6 +77,7 @@ def furnish(data_dir: Path) -> tuple[PlaceMap, dict[str, list[Any]]]:
     return place_map, {
         "navigation_id": list(drives), "navigations": drives, "first": drives, "second": drives,
         "map_id": [place_map.id], "id": [place_map.id], "place_id": places, "places": places,
+        "room_id": ["room-l", "room-k"], "rooms": ["room-l", "room-k"], "door_id": ["door-lk"],
         "robot": ["robot-1"], "keyframe": [0, 1], "job_id": ["job-0"],
         "comparison_id": [comparison_id], "name": ["trajectory.tum", "landmarks.ply"],
     }  # fmt: skip

@@ -7,7 +7,7 @@ import ssl
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -21,11 +21,13 @@ from station.api.serving import serve
 from station.app import Station
 from station.config import AccessConfig, ApiConfig, LocalizationConfig, RobotConfig, SlamConfig, StationConfig
 from station.maps.store import MapStore
+from station.model.floor_plan import NameSuggestion
 from station.model.place_map import PlaceMap
 from station.places.making.build import build_map
 from station.workers.request import ProgramName
 from tests.support.link import Bench, until
 from tests.support.made_up_workers import PlaceByLight, made_up_navigation
+from tests.support.plans import two_rooms
 
 FRAME_S = 0.05
 
@@ -35,6 +37,16 @@ def store_map(data_dir: Path) -> PlaceMap:
     place_map = build_map(made_up_navigation(), name="Made-up room")
     MapStore(data_dir / "maps").save(place_map)
     return place_map
+
+
+def store_planned_map(data_dir: Path) -> PlaceMap:
+    """The same with a floor plan of two rooms, of which one has a suggested name."""
+    place_map = build_map(made_up_navigation(), name="Made-up room")
+    rooms = dict.fromkeys((place.id for place in place_map.places), "room-l")
+    suggestion = NameSuggestion("room-k", "Kitchen", "sticker", 0.98, "a sticker says so", 0)
+    planned = replace(place_map, plan=replace(two_rooms(), room_of_place=rooms), suggestions=(suggestion,))
+    MapStore(data_dir / "maps").save(planned)
+    return planned
 
 
 def picture(number: int, colour: tuple[int, int, int] | None = None) -> bytes:
