@@ -2,8 +2,8 @@
 
     python -m benchmarks.bench_smoothing DATASET… --v102 0-19 --flats 0-19 --backend ukf --backend smoothing
 
-DATASET: recorded drives with truth. `--v102`: the real IMU of EuRoC V1_02, its camera rendered (hall = seed). `--flats`:
-tours of simulated flats, 90 s, with wheels. One JSON line per run, failures too; errors as in bench_slam.
+DATASET: recorded drives with truth. `--v102`: the real IMU of EuRoC V1_02, its camera rendered (hall = seed).
+`--flats`: tours of simulated flats, 90 s, with wheels. One JSON line per run, failures too; errors as in bench_slam.
 """
 
 from __future__ import annotations

@@ -180,8 +180,8 @@ def _solve(
         weak = gtsam.noiseModel.Isotropic.Sigma(3, 100.0)
         graph.push_back(gtsam.PriorFactorPoint3(landmark_key(f), p, weak))
     for i in np.flatnonzero(np.isfinite(distance)).tolist():
-        k = keyframes[int(table.keyframe[i])].number
-        graph.push_back(reprojection_factor(k, int(at[i]), xy[i], sigma[i], given.config.huber, T_body_cam))
+        number = keyframes[int(table.keyframe[i])].number
+        graph.push_back(reprojection_factor(number, int(at[i]), xy[i], sigma[i], given.config.huber, T_body_cam))
     values = optimised(graph, values)
     for k in keyframes:
         k.T_world_body = values.atPose3(pose_key(k.number)).matrix()
