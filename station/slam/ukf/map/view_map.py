@@ -40,7 +40,7 @@ SIGMA_TURN_SHARE = 0.001
 SIGMA_HEAD_SHARE = 0.01  # of a turn of the head, which images alone measure
 SIGMA_FLOOR_RAD = 2e-4
 # Drives of 20 m are followed within some 0.05 m; with what dead reckoning may be off by, chairs that look alike closed
-# loops (docs/decisions/0023-metre-of-a-map.md).
+# loops (docs/studies/ukf-map.md).
 DRIFT = Drift(position_m=0.15, position_per_way=0.02, rotation_rad=0.09)
 
 
