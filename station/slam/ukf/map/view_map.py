@@ -27,11 +27,14 @@ from station.slam.ukf.map.views import MapViews, View
 from station.vision.camera_model import CameraModel
 
 MIN_VIEWS = 3
+# Homes of plain walls give 14 to 17 and the IMU bends their maps, furnished flats over 80 and it mends their scale.
+LANDMARKS_PER_VIEW_FOR_IMU = 40
 MIN_LANDMARKS_PER_VIEW = 10  # a furnished flat gives a hundred
-# How wrong the filter's motion between neighbouring views may be; one sigma.
-SIGMA_SHARE = 0.05  # of the way: before a blank wall only commands and accelerometer know it
-SIGMA_PER_RADIAN_M = 0.01
-SIGMA_FLOOR_M = 0.002
+# How wrong the filter's motion between neighbouring views may be beside its scale; one sigma. Twice its scatter, since
+# errors of ten neighbours add up to 1.7 times what independent ones would (docs/decisions/0023-metre-of-a-map.md).
+SIGMA_SHARE = 0.02  # of the way
+SIGMA_PER_RADIAN_M = 0.004
+SIGMA_FLOOR_M = 0.001
 SIGMA_BIAS_RAD_S = 5e-4
 SIGMA_TURN_SHARE = 0.001
 SIGMA_HEAD_SHARE = 0.01  # of a turn of the head, which images alone measure
@@ -83,6 +86,8 @@ def map_views(
         if made.tracks.num_points == 0:
             continue
         terms = inertial_terms(items, noise, gravity, wheels)
+        if made.tracks.num_points < LANDMARKS_PER_VIEW_FOR_IMU * len(items):
+            terms = None  # too many views hang on the filter's motions, which had tracks of what no view finds again
         if terms is not None:
             v_world = np.array([v.keyframe.v_world for v in items])
             made = lay_on_imu(made, motions.T_world_body, v_world, terms, rays, calibration, camera.sigma_px)

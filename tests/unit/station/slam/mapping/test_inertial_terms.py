@@ -1,0 +1,70 @@
+"""The inertial terms of the map's adjustment: their derivatives, and that they know the metre and the vertical."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from shared.calibration import ImuNoise
+from shared.geometry import so3_exp
+from station.motion.preintegration import ImuSegment, preintegrate
+from station.slam.mapping.inertial_terms import InertialTerms, WheelTerms
+from station.slam.mapping.odometry_bundle import BundleState
+
+NOISE = ImuNoise(gyro_density=1e-4, accel_density=1e-3, gyro_walk=1e-5, accel_walk=1e-4, rate_hz=200.0)
+STEP_S, VIEWS, DT_S = 0.4, 25, 0.005
+
+
+def stop_and_go() -> tuple[BundleState, InertialTerms]:
+    """A robot that goes back and forth along x without turning, and the terms of its readings."""
+    t = np.arange(round(STEP_S * (VIEWS - 1) / DT_S)) * DT_S
+    accel = np.stack([np.cos(2.0 * t), np.zeros_like(t), np.full_like(t, 9.81)], axis=1)
+    v, x = np.zeros((VIEWS, 3)), np.zeros((VIEWS, 3))
+    links, per_view = [], round(STEP_S / DT_S)
+    for k in range(VIEWS - 1):
+        part = slice(k * per_view, (k + 1) * per_view)
+        steps = np.full(per_view, DT_S)
+        segment = ImuSegment(steps, np.zeros((per_view, 3)), accel[part], 0, np.zeros(3), np.ones((per_view, 2)))
+        link = preintegrate(segment, np.zeros(6), NOISE)
+        links.append(link)
+        fall = np.array([0.0, 0.0, -9.81])
+        v[k + 1] = v[k] + link.dv + fall * STEP_S
+        x[k + 1] = x[k] + v[k] * STEP_S + link.dp + 0.5 * fall * STEP_S**2
+    by_constants = np.zeros((VIEWS, 3, 1))
+    by_constants[:, 0, 0] = v[:, 0]
+    wheels = WheelTerms(by_constants, np.full((VIEWS, 3), 0.05), np.array([1.0]), np.array([0.02]))
+    terms = InertialTerms(links, NOISE, 9.81, np.zeros(6), wheels)
+    return BundleState(np.tile(np.eye(3), (VIEWS, 1, 1)), x, np.zeros((0, 3)), terms.start(v)), terms
+
+
+def moved(state: BundleState, dx: np.ndarray) -> BundleState:
+    poses = dx[: 6 * VIEWS].reshape(-1, 6)
+    return replace(
+        state,
+        R_world_body=state.R_world_body @ so3_exp(poses[:, :3]),
+        p_world_body=state.p_world_body + poses[:, 3:],
+        motion=state.motion + dx[6 * VIEWS :],
+    )
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_gradient_agrees_with_the_cost(seed: int) -> None:
+    state, terms = stop_and_go()
+    rng = np.random.default_rng(seed)
+    size = 6 * VIEWS + terms.size
+    state = moved(state, 1e-3 * rng.standard_normal(size))
+    dx, h = rng.standard_normal(size), 1e-6
+    numeric = (terms.cost(moved(state, h * dx)) - terms.cost(moved(state, -h * dx))) / (2 * h)
+    _, g = terms.normal_equations(state)
+    assert 2 * g @ dx == pytest.approx(numeric, rel=1e-4)
+
+
+def test_a_path_of_another_scale_costs_more() -> None:
+    state, terms = stop_and_go()
+    assert terms.cost(state) < 1e-6
+    for scale in (0.98, 1.02):
+        larger = replace(state, p_world_body=scale * state.p_world_body, motion=state.motion * scale)
+        larger.motion[-1] = 1.0
+        assert terms.cost(larger) > 10.0
