@@ -10,6 +10,7 @@ from typing import Any
 
 from shared.calibration import CameraCalibration
 from shared.errors import DataError
+from station.calibration.camera_imu.guided import estimate_camera_imu
 from station.calibration.guided import estimate_camera, store_result
 from station.calibration.target import Target, TargetKind
 from station.datasets import open_dataset
@@ -58,7 +59,9 @@ class LibraryJobs(LibraryProgram):
         if earlier is not None:
             place_map = keep_places(earlier, place_map)
         self._emit(Progress(0.7, "finding rooms and doors"))
-        place_map = with_suggestions(planned(place_map, earlier))
+        place_map = planned(place_map, earlier)
+        self._emit(Progress(0.75, "looking for stickers that name rooms"))
+        place_map = with_suggestions(place_map)
         self._emit(Progress(0.8, f"saving {_count(len(place_map.places), 'place')}"))
         store.save(place_map, f"built from {place_map.navigation.id}"[:200])
         self._built = place_map
@@ -116,12 +119,17 @@ class LibraryJobs(LibraryProgram):
     def calibrate_camera(
         self, folder: Path, times_ns: list[int], target: Target, told: CameraCalibration
     ) -> dict[str, Any]:
-        def progress(share: float, text: str) -> None:
-            self._emit(Progress(share, text))
-
-        result = estimate_camera(folder / RECORDING, times_ns, target, told, folder / RESIDUALS, progress)
+        result = estimate_camera(folder / RECORDING, times_ns, target, told, folder / RESIDUALS, self._progress)
         store_result(result, folder / RESULT)
         return result
+
+    def calibrate_camera_imu(self, folder: Path, target: Target, told: CameraCalibration) -> dict[str, Any]:
+        result = estimate_camera_imu(folder / RECORDING, target, told, folder / RESIDUALS, self._progress)
+        store_result(result, folder / RESULT)
+        return result
+
+    def _progress(self, share: float, text: str) -> None:
+        self._emit(Progress(share, text))
 
     def target_page(self, kind: TargetKind, size: PaperSize) -> bytes:
         return _pdf(kind, size)
