@@ -6,8 +6,8 @@ from dataclasses import replace
 
 from station.model.floor_plan import FloorPlan
 from station.model.place_map import PlaceMap
-from station.places.rooms.place_names import named_by_rooms
 from station.places.naming.suggest import suggest_names
+from station.places.rooms.place_names import named_by_rooms
 from station.places.rooms.plan import make_floor_plan
 
 
