@@ -62,8 +62,8 @@ def spots_in(world: World, room: int) -> list[Surface]:
         for u in np.arange(0.01, s.width_m - width, STEP_M):
             x, y, _ = origin + u * eu + OFF_M * out
             corner = (float(x), float(y), FOOT_M + height)
-            in_texture = {"u0_m": s.u0_m + float(u), "v0_m": s.v0_m + top - corner[2]}
-            spots.append(replace(s, origin=corner, width_m=width, height_m=height, **in_texture))
+            u0_m, v0_m = s.u0_m + float(u), s.v0_m + top - corner[2]
+            spots.append(replace(s, origin=corner, width_m=width, height_m=height, u0_m=u0_m, v0_m=v0_m))
     pictures = [s for s in world.surfaces if s.room == room and s.texture.kind == "poster"]
     return [spot for spot in spots if not any(_overlap(spot, picture) for picture in pictures)]
 

@@ -93,7 +93,7 @@ def _place(
     ok, _, t = cv2.solvePnP(square, corners, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
     if not ok or t[2, 0] <= 0:
         return None
-    return t.ravel(), SIZE_SIGMA * float(np.linalg.norm(t))
+    return np.asarray(t, dtype=np.float64).reshape(3), SIZE_SIGMA * float(np.linalg.norm(t))
 
 
 def _middle(corners: FloatArray) -> FloatArray:
