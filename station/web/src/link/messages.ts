@@ -732,7 +732,7 @@ export interface ReplayModel {
 /** How to run SLAM over a recording again. */
 export interface ReprocessOrder {
   /** null: the station's own */
-  backend: "sfm" | "ukf" | "mono" | null;
+  backend: "sfm" | "ukf" | "mono" | "smoothing" | null;
 }
 
 /** One of the station's robots, and where it is. */
