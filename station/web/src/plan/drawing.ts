@@ -68,7 +68,7 @@ function drawDoor(door: DoorModel, plan: FloorPlanModel, fit: Fit, { onDoor }: D
 
 function drawPlace(place: PlanPlace, fit: Fit, { onPlace, onHover }: DrawingEvents): SVGElement {
   const [x, y] = fit.toScreen(place.at);
-  const dot = draw("circle", { class: "plan-place", cx: x, cy: y, r: 6, "data-place": place.id });
+  const dot = draw("circle", { class: "plan-place", cx: x, cy: y, r: 6, "data-dot": place.id });
   dot.style.setProperty("--own", colourOf(place.colour));
   for (const type of ["pointerenter", "focus"]) dot.addEventListener(type, () => onHover(place, [x, y]));
   for (const type of ["pointerleave", "blur"]) dot.addEventListener(type, () => onHover(null, [x, y]));

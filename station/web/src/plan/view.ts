@@ -107,8 +107,8 @@ export class PlanView {
     const place = this.place?.place?.id;
     for (const node of this.svg.querySelectorAll<SVGElement>("[data-room]"))
       node.classList.toggle("here", node.dataset.room === room);
-    for (const node of this.svg.querySelectorAll<SVGElement>("[data-place]"))
-      node.classList.toggle("here", node.dataset.place === place);
+    for (const node of this.svg.querySelectorAll<SVGElement>("[data-dot]"))
+      node.classList.toggle("here", node.dataset.dot === place);
   }
 
   private hover(place: PlanPlace | null, [x, y]: Point): void {
