@@ -33,7 +33,7 @@ class SmoothingConfig:
     min_interval_s: float = 0.14  # 7 keyframes per second
     max_interval_s: float = 0.5
     min_flow: float = 0.01  # fraction of the image width; less between the two intervals makes no keyframe
-    lag_s: float = 3.0  # 4 s cost more and gave no better live poses (docs/studies/smoothing.md)
+    lag_s: float = 3.0  # 4 s cost more and gave no better live poses (decision 0022)
     sigma_px: float = 1.0
     huber: float = 1.5  # sigmas
     gate: float = 4.0  # sigmas of a reprojection, before it enters the graph

@@ -43,7 +43,7 @@ WHEEL_HUBER = 2.0
 MIN_SEEN = 8  # landmarks; with fewer a keyframe takes the motion since the last one from the filter
 MAX_TRIANGULATION_RMS = 2.0
 MIN_POINT_SIGMA_M = 0.5
-RELINEARISE_ABOVE = 0.01  # rad, m, m/s; a tenth of it costs a third more time
+RELINEARISE_ABOVE = 0.01  # rad, m, m/s; a tenth of it was no better
 
 
 class FixedLagWindow:
