@@ -115,7 +115,7 @@ def as_keyframe(k: SmoothKeyframe) -> Keyframe:
         bias=k.bias,
         segment=k.segment,
         link=k.link,
-        wheels=None if k.wheels is None else (k.wheels.v_body, k.wheels.sigma),
+        wheels=k.wheels,
     )
 
 
