@@ -89,6 +89,9 @@ def run_in(options: DemoOptions, data: Path, say: Say) -> bool:
         raise
 
 
+SURE_OF_A_NAME = 0.9  # two stickers that speak against each other have half each
+
+
 def run_steps(options: DemoOptions, programs: Programs, data: Path, say: Say) -> bool:
     """The demo's main path."""
     timings = Timings()
@@ -232,9 +235,9 @@ def build_map(demo: Demo, navigation: str) -> list[dict[str, Any]]:
 
 
 def name_rooms(demo: Demo) -> None:
-    """Give rooms the names that stickers in the flat speak for, as a person does who presses "Use it"."""
+    """Give rooms the names that stickers in the flat speak for alone, as a person does who presses "Use it"."""
     for room in demo.station.get("/rooms"):
-        for suggestion in room["suggestions"][:1]:
+        for suggestion in [s for s in room["suggestions"] if s["confidence"] >= SURE_OF_A_NAME]:
             demo.station.call("PATCH", f"/rooms/{room['id']}", {"name": suggestion["name"]})
             demo.say(f"    {room['name']} is the {suggestion['name']}: {suggestion['reason']}")
     rooms = demo.station.get("/rooms")
