@@ -95,7 +95,7 @@ def main() -> int:
     parser.add_argument("--cache", type=Path, help="folder of mapped flats; usually in benchmarks/results/work")
     add_results_option(parser, "rooms")
     a = parser.parse_args()
-    begun = Run.begin()
+    this_run = Run.begin()
     cache = a.cache or work_folder() / "room_flats"
     rows = []
     for name in parse_worlds(a.worlds, a.poses):
@@ -104,7 +104,7 @@ def main() -> int:
     made = figures(rows)
     for figure in made:
         print(f"{figure.what}: {figure.value} {figure.unit}", file=sys.stderr)
-    begun.write(a.results, made)
+    this_run.write(a.results, made)
     return 0
 
 

@@ -64,9 +64,10 @@ def test_derivatives_by_knots_are_those_of_finite_differences(seed: int) -> None
     step = rng.normal(0.0, 1.0, (len(motion.p_knots), 6))
     near, far = (motion.moved(s * STEP * step).orientations(weights) for s in (-0.5, 0.5))
     acting = step[weights.segment[:, None] + np.arange(ORDER), :3]
-    by_knots = np.einsum("nkij,nkj->ni", here.R_by_knots, acting)
+    own, none = np.broadcast_to(np.eye(3), (2, len(acting), 3, 3)) * np.array([1.0, 0.0])[:, None, None, None]
+    by_knots = np.einsum("nikj,nkj->ni", here.by_knots(own), acting)
     np.testing.assert_allclose(rates(near.R, far.R, STEP), by_knots, atol=1e-6)
-    by_knots = np.einsum("nkij,nkj->ni", here.omega_by_knots, acting)
+    by_knots = np.einsum("nikj,nkj->ni", here.by_knots(none, own), acting)
     np.testing.assert_allclose((far.omega - near.omega) / STEP, by_knots, atol=1e-4)
 
 

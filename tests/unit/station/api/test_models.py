@@ -31,6 +31,7 @@ from station.api.schema.robot import (
     NetworkModel,
     RobotModel,
 )
+from station.api.schema.rooms import NameSuggestionModel, PlanRoom, RoomModel
 from station.api.schema.station import LogModel
 from station.events import LogLine
 from station.library.bin import BinEntry
@@ -38,6 +39,7 @@ from station.library.comparisons import Comparison
 from station.library.navigation_records import NavigationRecord
 from station.library.place_changes import PlacesChange
 from station.model.calibration_fit import CalibrationFit
+from station.model.floor_plan import NameSuggestion, Room
 from station.model.place_map import Place, PlaceEdge
 from station.places.making.graph import Route
 from station.robots.guided_calibration import CalibrationSession
@@ -64,9 +66,12 @@ MADE_OF: dict[type[Model], type] = {
     MeterModel: MeterReading,
     NetworkModel: NetworkState,
     NavigationModel: NavigationRecord,
+    NameSuggestionModel: NameSuggestion,
     PlaceModel: Place,
     PlacesChangeModel: PlacesChange,
+    PlanRoom: Room,
     RobotModel: LinkState,
+    RoomModel: Room,
     RouteModel: Route,
     TokenModel: TokenRecord,
     VisitModel: Visit,
