@@ -57,7 +57,7 @@ class UkfBackend:
         if calibration.camera is None:
             raise ConfigError("the ukf backend needs a camera, and the calibration has none; give one")
         if calibration.imu is None:
-            raise ConfigError("the ukf backend needs an IMU, and the calibration has none; use --backend sfm")
+            raise ConfigError("this backend needs an IMU, and the calibration has none; use --backend sfm")
         cv2.setNumThreads(1)  # order of additions, hence every last bit, must not depend on the machine
         self._blas = ThreadpoolController()  # the same for BLAS
         self._calibration = calibration
