@@ -17,7 +17,13 @@ HALF_VIEW = np.arctan(320 / 1080)  # as narrow as the robot's camera
 
 
 CAMERA = CameraCalibration(
-    width=640, height=480, fx=1080, fy=1080, cx=320, cy=240, T_body_cam=tuple(se3(R_BODY_CAM, np.zeros(3)).ravel())
+    width=640,
+    height=480,
+    fx=1080,
+    fy=1080,
+    cx=320,
+    cy=240,
+    T_body_cam=tuple(se3(R_BODY_CAM, np.zeros(3)).ravel().tolist()),
 )
 
 
