@@ -83,8 +83,8 @@ class MonoBackend:
             self.last = result = mono.process(dt_s, self._finder)
         except np.linalg.LinAlgError:
             return self._lose_at(frame, "the filter contradicts itself")
+        self._finder.forget(result.gone)
         if result.removed is not None:
-            self._finder.forget(result.removed.ids)
             self._log.retire(result.removed, self._T_world_filter)
         if result.num_found >= self._config.min_found:
             self._found_ns = frame.t_robot_ns
