@@ -96,6 +96,7 @@ class MonoFilter:
         gone = np.setdiff1d(np.concatenate([before, new_ids]), self.state.ids)
         for number in gone.tolist():
             self._tries.pop(number, None)
+            self._bias.pop(number, None)
         return FrameResult(ids, uv, len(agreed), int(tried.sum()), wanted, settled, removed, gone)
 
     def _choose(self, state: State) -> tuple[Wanted, Predicted]:
@@ -175,11 +176,16 @@ class MonoFilter:
                 tally[2] = self._frame
 
     def _accumulate(self, state: State, rows: IntArray, uv: FloatArray) -> None:
+        """The mean error of each feature over its last pictures, after the update."""
         left = (uv - self._predict(state, rows).uv_px) / self.sigma_px
         for number, e in zip(state.ids[rows].tolist(), left, strict=True):
             count, bias = self._bias.get(number, (0, np.zeros(2)))
             count = min(count + 1, self._config.bias_frames)
             self._bias[number] = count, bias + (e - bias) / count
+
+    def _is_biased(self, number: int) -> bool:
+        count, bias = self._bias.get(number, (0, np.zeros(2)))
+        return count >= self._config.bias_frames and float(np.linalg.norm(bias)) > self._config.max_bias_sigmas
 
     def _prune(self, state: State) -> tuple[State, State | None]:
         """Give up what is found too rarely or lies beyond infinity, and of too many what was not seen for longest."""
@@ -191,8 +197,7 @@ class MonoFilter:
         row = state.rows()[:, 5]
         beyond = state.is_inverse & (state.x[row] + 2.0 * np.sqrt(np.maximum(state.P[row, row], 0.0)) < 0.0)
         leave = rare | beyond
-        biased = np.array([self._bias[i][0] >= config.bias_frames and np.linalg.norm(self._bias[i][1]) > config.max_bias_sigmas if i in self._bias else False for i in state.ids.tolist()])
-        leave |= biased
+        leave |= np.array([self._is_biased(number) for number in state.ids.tolist()])
         surplus = int((~leave).sum()) + config.num_measured - config.max_features
         if surplus > 0:
             oldest = np.argsort(np.where(leave, self._frame, tally[:, 2]), kind="stable")[:surplus]

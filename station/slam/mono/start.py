@@ -21,11 +21,12 @@ from station.slam.mono.config import FilterConfig
 from station.slam.mono.measurement import first_seen, predict
 from station.slam.mono.motion import CAMERA, POSE, first_camera, impulse_covariance, move
 from station.slam.mono.state import State
-from station.vision.lens import BoolArray, Lens
+from station.vision.lens import Lens
 
 STEPS = 40
 SETTLED = 1e-2  # of the cost, a chi-square
-BAD_SIGMAS = 2.0
+BAD_SIGMAS = 2.0  # a feature whose errors are larger on the mean is no fixed point
+OUT_OF_VIEW = 100.0  # sigmas: what a step costs that takes a feature out of the picture that shows it
 SWEEPS = 3  # with features left out and the noise measured
 HUBER = 3.0  # sigmas; beyond, a measurement counts by its distance instead of its square
 
@@ -78,7 +79,14 @@ class Problem:
     """All that was measured, one row a feature and picture."""
 
     def __init__(
-        self, lens: Lens, config: FilterConfig, dt_s: FloatArray, ids: IntArray, frame: IntArray, uv_px: FloatArray, sigma_px: float
+        self,
+        lens: Lens,
+        config: FilterConfig,
+        dt_s: FloatArray,
+        ids: IntArray,
+        frame: IntArray,
+        uv_px: FloatArray,
+        sigma_px: float,
     ) -> None:
         self._lens, self._config, self._sigma_px = lens, config, sigma_px
         self.ids, first, feature = np.unique(ids, return_index=True, return_inverse=True)
@@ -96,10 +104,10 @@ class Problem:
 
     def solve(self) -> Solved:
         damping = 1e-3
-        found, A, b = self._linearised(self.mean)
+        found, A, b = self.linearised(self.mean)
         for _ in range(STEPS):
             step = scipy.linalg.solve(A + damping * np.diag(np.diag(A)), -b, assume_a="pos", check_finite=False)
-            new, A_new, b_new = self._linearised(found.u + step)
+            new, A_new, b_new = self.linearised(found.u + step)
             if new.cost >= found.cost:
                 damping *= 10.0
                 continue
@@ -110,7 +118,7 @@ class Problem:
         found.cov[:] = scipy.linalg.inv(A)
         return found
 
-    def _linearised(self, u: FloatArray) -> tuple[Solved, FloatArray, FloatArray]:
+    def linearised(self, u: FloatArray) -> tuple[Solved, FloatArray, FloatArray]:
         """With Huber's cost, J^T J and J^T e."""
         K, N, first, f = self.K, self.N, self._first, self._feature
         x_v, D = np.zeros((K + 1, CAMERA)), np.zeros((K + 1, CAMERA, 6 * K))
@@ -124,13 +132,17 @@ class Problem:
         y, by_camera, by_own = first_seen(x_v[first], self._first_uv + own_of[:, :2], own_of[:, 2], self._lens)
         seen = predict(x_v[self._frame], y[f], np.ones(len(f), dtype=bool), self._lens)
         e = (seen.uv_px - self._uv) / self._sigma_px
-        e[~seen.in_view] = 100
+        e[~seen.in_view] = OUT_OF_VIEW
         length = np.linalg.norm(e, axis=1)
         over = np.maximum(length / HUBER, 1.0)
         off = (u - self.mean) / self.sigma
         cost = float(np.where(over > 1.0, 2.0 * HUBER * length - HUBER**2, length**2).sum() + off @ off)
         weight = (1.0 / (self._sigma_px * np.sqrt(over)))[:, None, None]
-        blocks = weight * seen.by_pose, weight * seen.by_feature @ by_camera[f][:, :, :POSE], weight * seen.by_feature @ by_own[f]
+        blocks = (
+            weight * seen.by_pose,
+            weight * seen.by_feature @ by_camera[f][:, :, :POSE],
+            weight * seen.by_feature @ by_own[f],
+        )
         columns = POSE * self._frame, POSE * first[f], POSE * (K + 1) + 3 * f
         M = len(f)
         J = scipy.sparse.csr_array((2 * M, POSE * (K + 1) + 3 * N))
@@ -159,6 +171,7 @@ class Problem:
         return sigma_px, self.ids[mean > (BAD_SIGMAS * sigma_px) ** 2]
 
     def state(self, found: Solved, old: State) -> State:
+        """The filter's state at the last picture, of the features of `old` that were not left out."""
         alive = np.flatnonzero(np.isin(self.ids, old.ids))
         x = np.concatenate([found.x_v[-1], found.y[alive].ravel()])
         J = np.zeros((len(x), len(found.u)))

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg
 
-from shared.geometry import FloatArray, IntArray, homogeneous
+from shared.geometry import FloatArray, IntArray
 from station.slam.mono.config import FilterConfig
 from station.slam.mono.measurement import Predicted, bearing, first_seen, to_xyz
 from station.slam.mono.motion import ATTITUDE, CAMERA, POSE, POSITION, impulse_covariance, move
-from station.slam.mono.quaternion import normalise, rotate, rotate_by_q
+from station.slam.mono.quaternion import normalise
 from station.vision.lens import BoolArray, Lens
 
 
@@ -128,7 +128,9 @@ class State:
 
     # ---- the map
 
-    def with_features(self, ids: IntArray, uv_px: FloatArray, lens: Lens, config: FilterConfig, sigma_px: float) -> State:
+    def with_features(
+        self, ids: IntArray, uv_px: FloatArray, lens: Lens, config: FilterConfig, sigma_px: float
+    ) -> State:
         """New features of six numbers from one view of them (C.2): all that is unknown is how far they are."""
         rho = np.full(len(ids), config.first_inverse_depth)
         y, by_camera, by_own = first_seen(np.tile(self.camera, (len(ids), 1)), uv_px, rho, lens)  # eq. C.2
