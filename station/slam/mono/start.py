@@ -67,7 +67,8 @@ class Start:
         for _ in range(SWEEPS):
             dt_s = np.array(self._dt_s[1:])
             problem = Problem(self._lens, self._config, dt_s, every[keep], frame[keep], uv[keep], sigma_px)
-            best = problem.solve()
+            ones = problem.solve(problem.mean)
+            best = min(ones, problem.solve(problem.mirrored(ones.u)), key=lambda found: found.cost)
             sigma_px, bad = problem.judge(best)
             if not len(bad):
                 break
@@ -102,9 +103,23 @@ class Problem:
         self.mean = np.zeros(len(self.sigma))
         self.mean[6 * K + 2 :: 3] = config.first_inverse_depth
 
-    def solve(self) -> Solved:
+    def mirrored(self, u: FloatArray) -> FloatArray:
+        """The world that moves alike in the pictures: near and far exchanged, the camera on the other side, and turned.
+
+        To first order a pixel moves by rho (-V_x, -V_y) + (-Omega_y, Omega_x), the same for 2 mean - rho, -V and
+        Omega + 2 mean (-V_y, V_x): the reversal of a relief, which only a longer path tells from the truth.
+        """
+        other, K = u.copy(), self.K
+        rho, impulse = other[6 * K + 2 :: 3], other[: 6 * K].reshape(K, 6)
+        middle = float(np.median(rho))
+        impulse[:, 3:5] += 2.0 * middle * impulse[:, 1::-1] * [-1.0, 1.0]
+        impulse[:, :2] *= -1.0
+        rho[:] = np.maximum(2.0 * middle - rho, 0.1 * middle)
+        return other
+
+    def solve(self, u: FloatArray) -> Solved:
         damping = 1e-3
-        found, A, b = self.linearised(self.mean)
+        found, A, b = self.linearised(u)
         for _ in range(STEPS):
             step = scipy.linalg.solve(A + damping * np.diag(np.diag(A)), -b, assume_a="pos", check_finite=False)
             new, A_new, b_new = self.linearised(found.u + step)
