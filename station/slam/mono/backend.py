@@ -7,23 +7,20 @@ Pure: no clock, no thread, nothing random.
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Sequence
-from dataclasses import asdict
-from typing import Any
+from dataclasses import replace
 
 import cv2
-import msgspec
 import numpy as np
-import scipy
 
 from shared.calibration import Calibration
 from shared.errors import ConfigError, EstimationError
 from shared.geometry import FloatArray, inverse, se3, transform, upright
 from station.model.frames import DriveSample, ImageArray, ImageFrame, ImuBatch
-from station.model.navigation import Navigation, NavigationReport
+from station.model.navigation import Navigation
 from station.model.slam_update import SlamUpdate, TrackingState
 from station.slam.mapping.intake import FrameIntake
+from station.slam.mapping.report import make_report
 from station.slam.mono.config import MonoConfig
 from station.slam.mono.filter import FrameResult, MonoFilter
 from station.slam.mono.map_log import MapLog, camera_pose
@@ -83,8 +80,8 @@ class MonoBackend:
             self.last = result = mono.process(dt_s, self._finder)
         except np.linalg.LinAlgError:
             return self._lose_at(frame, "the filter contradicts itself")
+        self._finder.forget(result.gone)
         if result.removed is not None:
-            self._finder.forget(result.removed.ids)
             self._log.retire(result.removed, self._T_world_filter)
         if result.num_found >= self._config.min_found:
             self._found_ns = frame.t_robot_ns
@@ -172,34 +169,10 @@ class MonoBackend:
         else:
             self._lost_ns += intake.last_t_ns - self._found_ns
         keyframes, landmarks = self._log.map()
-        refused = {
-            "images out of order": intake.out_of_order,
-            "images that could not be decoded": intake.undecodable,
-        }
         if self._segment:
             self._messages.append(f"{self._segment + 1} pieces, each with a scale and a frame of its own")
-        plain: dict[str, Any] = msgspec.to_builtins(asdict(self._config))
-        report = NavigationReport(
-            backend="mono",
-            frames=intake.used,
-            duration_s=intake.elapsed_s,
-            wall_s=0.0,
-            realtime_factor=0.0,
-            cpu_s=0.0,
-            landmarks=len(landmarks),
-            tracking_lost_s=self._lost_ns * 1e-9,
-            scale="arbitrary",
-            gravity_aligned=False,
-            seed=0,
-            versions={
-                "python": platform.python_version(),
-                "numpy": np.__version__,
-                "scipy": scipy.__version__,
-                "opencv": cv2.__version__,
-            },
-            config=plain,
-            messages=(*self._messages, *(f"{count} {what}" for what, count in refused.items() if count)),
-        )
+        report = make_report("mono", intake, self._config, self._lost_ns * 1e-9, 0, False, self._messages)
+        report = replace(report, landmarks=len(landmarks))
         identity = f"mono-{intake.first_t_ns}"
         return Navigation(identity, self._calibration, self._log.trajectory(), keyframes, landmarks, report)
 

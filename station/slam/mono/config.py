@@ -13,7 +13,10 @@ class FilterConfig:
     sigma_angular_accel: float = 6.0  # rad/s^2, the same for turning (eq. 2.1)
     sigma_first_velocity: float = 1.0  # units/s, before the first image pair
     sigma_first_turn: float = 1.0  # rad/s
-    sigma_px: float = 1.0  # R of eq. 2.6
+    sigma_px: float = 1.0  # R of eq. 2.6 until the start has measured it
+    min_sigma_px: float = 0.3  # no smaller: what patches are off by hardly changes from picture to picture
+    bias_frames: int = 20  # a right feature's errors average out over so many pictures,
+    max_bias_sigmas: float = 1.0  # a corner where two depths meet slides, and its errors do not
     # When the start is solved again: doubling, since what can be told from a path grows with its length.
     start_frames: tuple[int, ...] = (10, 20, 40)
     first_inverse_depth: float = 0.3  # 1/units, of a new feature (C.2)

@@ -59,6 +59,7 @@ class FrameResult:
     wanted: Wanted
     settled: IntArray  # ids of the features that became XYZ
     removed: State | None  # features that left the map, as part of the state before
+    gone: IntArray  # ids of all that left
 
 
 class MonoFilter:
@@ -67,20 +68,23 @@ class MonoFilter:
         self._config = config
         nothing = np.zeros(0, dtype=np.int64)
         self.state = State(*first_camera(config), nothing, nothing.astype(bool))
+        self.sigma_px = config.sigma_px
         self._tries: dict[int, IntArray] = {}  # by id: times looked for, times found, last frame found
         self._frame = 0
+        self._bias: dict[int, tuple[int, FloatArray]] = {}
         self.next_id = first_id
         self._start = Start(lens, config)
 
     def process(self, dt_s: float, finder: Finder) -> FrameResult:
         """Take one image in, dt_s after the one before."""
-        config, self._frame = self._config, self._frame + 1
+        config, self._frame, before = self._config, self._frame + 1, self.state.ids
         state = self.state.moved(config, dt_s)  # eqs. 2.1 to 2.3
         wanted, seen = self._choose(state)  # eqs. 2.4 to 2.6, C.5
         uv, tried, found = finder.find(wanted)
         agreed = np.flatnonzero(found)
         if len(agreed):
             state, agreed = self._update(state, wanted, seen, uv, agreed)
+            self._accumulate(state, wanted.rows[agreed], uv[agreed])
         self._count(state.ids[wanted.rows], tried, agreed)
         ids = state.ids[wanted.rows[agreed]]
         linear = np.flatnonzero(state.linearity() < config.max_linearity)
@@ -88,15 +92,19 @@ class MonoFilter:
         self.state, removed = self._prune(state)
         new_ids, new_uv = self._add(finder)
         ids, uv = np.concatenate([ids, new_ids]), np.concatenate([uv[agreed], new_uv])
-        self.state = self._start.take(dt_s, self.state, ids, uv)
-        return FrameResult(ids, uv, len(agreed), int(tried.sum()), wanted, settled, removed)
+        self.state, self.sigma_px = self._start.take(dt_s, self.state, ids, uv, self.sigma_px)
+        gone = np.setdiff1d(np.concatenate([before, new_ids]), self.state.ids)
+        for number in gone.tolist():
+            self._tries.pop(number, None)
+            self._bias.pop(number, None)
+        return FrameResult(ids, uv, len(agreed), int(tried.sum()), wanted, settled, removed, gone)
 
     def _choose(self, state: State) -> tuple[Wanted, Predicted]:
         """The features in view, the most informative (largest S) where there are too many."""
         seen = predict(state.camera, state.features(), state.is_inverse, self._lens, MARGIN_PX)
         rows = np.flatnonzero(seen.in_view)
         seen = state.with_product_moments(seen.of(rows), rows)
-        S = state.innovation_ellipses(seen, rows, self._config.sigma_px)  # eq. 2.6
+        S = state.innovation_ellipses(seen, rows, self.sigma_px)  # eq. 2.6
         if len(rows) > self._config.num_measured:
             best = np.sort(np.argsort(-np.linalg.det(S), kind="stable")[: self._config.num_measured])
             rows, S, seen = rows[best], S[best], seen.of(best)
@@ -118,7 +126,7 @@ class MonoFilter:
         if len(others):
             again = self._predict(state, rows[others])
             nu = uv[others] - again.uv_px
-            ellipses = state.innovation_ellipses(again, rows[others], config.sigma_px)
+            ellipses = state.innovation_ellipses(again, rows[others], self.sigma_px)
             chi2 = np.einsum("mi,mij,mj->m", nu, np.linalg.inv(ellipses), nu)
             rescued = others[(chi2 < config.rescue_chi2) & again.in_view]
             state = self._fuse(state, rows[rescued], uv[rescued])
@@ -131,7 +139,7 @@ class MonoFilter:
             return state
         seen = self._predict(state, rows)
         HP = state.spread(seen, rows)
-        S = state.innovation_covariance(seen, rows, HP, self._config.sigma_px)
+        S = state.innovation_covariance(seen, rows, HP, self.sigma_px)
         return state.updated(HP, S, (uv - seen.uv_px).ravel())
 
     def _predict(self, state: State, rows: IntArray) -> Predicted:
@@ -145,13 +153,13 @@ class MonoFilter:
         """
         M = len(rows)
         HP = state.spread(seen, rows)
-        S = state.innovation_covariance(seen, rows, HP, self._config.sigma_px).reshape(M, 2, M, 2).swapaxes(1, 2)
+        S = state.innovation_covariance(seen, rows, HP, self.sigma_px).reshape(M, 2, M, 2).swapaxes(1, 2)
         nu = uv - seen.uv_px
         own = S[range(M), range(M)]
         gain = S @ np.linalg.inv(own)[None]  # [j, i]: what feature i's innovation says of feature j's
         left = nu[:, None] - (gain @ nu[None, :, :, None])[..., 0]
         spread = own[:, None] - gain @ S.swapaxes(0, 1)
-        spread[range(M), range(M)] = self._config.sigma_px**2 * np.eye(2)
+        spread[range(M), range(M)] = self.sigma_px**2 * np.eye(2)
         chi2 = np.einsum("jia,jiab,jib->ji", left, np.linalg.inv(spread), left)
         agree: BoolArray = chi2 < self._config.rescue_chi2
         best: BoolArray = agree[:, int(np.argmax(agree.sum(axis=0)))]
@@ -167,6 +175,18 @@ class MonoFilter:
             if was_found:
                 tally[2] = self._frame
 
+    def _accumulate(self, state: State, rows: IntArray, uv: FloatArray) -> None:
+        """The mean error of each feature over its last pictures, after the update."""
+        left = (uv - self._predict(state, rows).uv_px) / self.sigma_px
+        for number, e in zip(state.ids[rows].tolist(), left, strict=True):
+            count, bias = self._bias.get(number, (0, np.zeros(2)))
+            count = min(count + 1, self._config.bias_frames)
+            self._bias[number] = count, bias + (e - bias) / count
+
+    def _is_biased(self, number: int) -> bool:
+        count, bias = self._bias.get(number, (0, np.zeros(2)))
+        return count >= self._config.bias_frames and float(np.linalg.norm(bias)) > self._config.max_bias_sigmas
+
     def _prune(self, state: State) -> tuple[State, State | None]:
         """Give up what is found too rarely or lies beyond infinity, and of too many what was not seen for longest."""
         config = self._config
@@ -177,6 +197,7 @@ class MonoFilter:
         row = state.rows()[:, 5]
         beyond = state.is_inverse & (state.x[row] + 2.0 * np.sqrt(np.maximum(state.P[row, row], 0.0)) < 0.0)
         leave = rare | beyond
+        leave |= np.array([self._is_biased(number) for number in state.ids.tolist()])
         surplus = int((~leave).sum()) + config.num_measured - config.max_features
         if surplus > 0:
             oldest = np.argsort(np.where(leave, self._frame, tally[:, 2]), kind="stable")[:surplus]
@@ -198,6 +219,6 @@ class MonoFilter:
         if len(ids):
             self.next_id += len(ids)
             self._tries |= {number: np.array([0, 0, self._frame]) for number in ids.tolist()}
-            self.state = state.with_features(ids, uv, self._lens, config)
+            self.state = state.with_features(ids, uv, self._lens, config, self.sigma_px)
             finder.remember(ids, uv, self.state)
         return ids, uv

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray
-from station.slam.mono.motion import ATTITUDE, POSE, POSITION
+from shared.geometry import FloatArray, IntArray, homogeneous
+from station.slam.mono.motion import ATTITUDE, CAMERA, POSE, POSITION
 from station.slam.mono.quaternion import CONJUGATE, rotate, rotate_by_q, rotation
 from station.vision.lens import BoolArray, Lens
 
@@ -45,6 +45,23 @@ def angles_of(ray: FloatArray) -> tuple[FloatArray, FloatArray]:
     J[:, 0, 0], J[:, 0, 2] = z / level2, -x / level2
     J[:, 1, 0], J[:, 1, 1], J[:, 1, 2] = x * y / (whole2 * level), -level / whole2, z * y / (whole2 * level)
     return np.stack([np.arctan2(x, z), np.arctan2(-y, level)], axis=1), J
+
+
+def first_seen(
+    x_v: FloatArray, uv_px: FloatArray, rho: FloatArray, lens: Lens
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Features y (N, 6) of eq. C.2 from one view of them: pixels (N, 2), inverse depths (N,), cameras (N, 13).
+
+    With the derivatives by the camera (N, 6, 13), and by pixel and inverse depth (N, 6, 3).
+    """
+    q, h_R = x_v[:, ATTITUDE], homogeneous(lens.unproject(uv_px))
+    angles, by_ray = angles_of(rotate(q, h_R))
+    by_camera, by_own = np.zeros((len(rho), 6, CAMERA)), np.zeros((len(rho), 6, 3))
+    by_camera[:, range(3), range(3)] = 1.0
+    by_camera[:, 3:5, ATTITUDE] = by_ray @ rotate_by_q(q, h_R)
+    by_own[:, 3:5, :2] = by_ray @ rotation(q)[:, :, :2] @ np.linalg.inv(lens.whitening(h_R[:, :2], 1.0))
+    by_own[:, 5, 2] = 1.0
+    return np.concatenate([x_v[:, POSITION], angles, rho[:, None]], axis=1), by_camera, by_own
 
 
 def to_xyz(y: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -101,7 +118,7 @@ def predict(x_v: FloatArray, y: FloatArray, is_inverse: BoolArray, lens: Lens, m
 
     in_view: at least margin_px inside of the image.
     """
-    r, q = x_v[POSITION], x_v[ATTITUDE]
+    r, q = x_v[..., POSITION], x_v[..., ATTITUDE]
     uv, in_front = project(r, q, y, is_inverse, lens)
     a = direction(r, y, is_inverse)
     h = np.where(in_front[:, None], rotate(q * CONJUGATE, a), [0.0, 0.0, 1.0])
@@ -112,7 +129,7 @@ def predict(x_v: FloatArray, y: FloatArray, is_inverse: BoolArray, lens: Lens, m
     pinhole[:, :, 2] = -xy / z[:, None]
     by_h = lens.whitening(xy, 1.0) @ pinhole
 
-    R_RW = rotation(q).T
+    R_RW = np.swapaxes(rotation(q), -1, -2)
     scale = np.where(is_inverse, y[:, 5], 1.0)[:, None, None]
     by_world = by_h @ R_RW
     by_pose = np.empty((len(y), 2, POSE))
@@ -122,7 +139,7 @@ def predict(x_v: FloatArray, y: FloatArray, is_inverse: BoolArray, lens: Lens, m
     by_feature[:, :, :3] = scale * by_world
     i = is_inverse
     by_feature[i, :, 3:5] = by_world[i] @ bearing_by_angles(y[i, 3:5])
-    by_feature[i, :, 5] = (by_world[i] @ (y[i, :3] - r)[:, :, None])[:, :, 0]
+    by_feature[i, :, 5] = (by_world[i] @ np.broadcast_to(y[:, :3] - r, y[:, :3].shape)[i][:, :, None])[:, :, 0]
     return Predicted(
         uv, in_front & lens.is_inside(uv, margin_px), by_pose, by_feature, by_world, np.zeros((len(y), 2, 2))
     )

@@ -33,8 +33,8 @@ def rotate_by_q(q: FloatArray, a: FloatArray) -> FloatArray:
 
 
 def rotation(q: FloatArray) -> FloatArray:
-    """R(q) (3, 3) of a unit quaternion (4,)."""
-    return rotate(q, np.eye(3)).T
+    """R(q) (..., 3, 3) of unit quaternions (..., 4)."""
+    return np.swapaxes(rotate(q[..., None, :], np.eye(3)), -1, -2)
 
 
 def left(q: FloatArray) -> FloatArray:

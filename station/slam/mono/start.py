@@ -1,13 +1,11 @@
 """The first pictures once more, all together: the same model, linearised where it ends instead of where it began.
 
 While little has moved, a picture's motion is inverse depth times velocity, both unknown, and a filter that fixes its
-derivatives at the first guess settles on a wrong pair too surely, or on the mirrored one. So the measurements of the
-first pictures are kept, and a few times the most probable path and map are sought by least squares (eqs. 2.1 to 2.6 and
-C.2 to C.5, Levenberg-Marquardt, Huber's loss): once from what the filter believes, once from a camera that only turned
-before features of equal depth, which lies between a world and its mirror image. The better one is the new state.
+derivatives at the first guess settles on a wrong pair too surely, or on the mirrored one. So the first pictures'
+measurements are kept, and a few times the most probable state is sought from all of them (Gauss-Newton, damped).
 
-The unknowns are poses, but for the first, and of each feature its place in the picture and its inverse depth: by eq.
-2.2 velocities are differences of poses. Turns are small and about the camera's own axes: R exp(turn).
+The unknowns u are what eqs. 2.2 and C.2 take as noise: the impulses of each picture, and of each feature the error of
+its first pixel and its inverse depth. They are independent; all else is `move`, `first_seen` and `predict` in a chain.
 """
 
 from __future__ import annotations
@@ -18,234 +16,181 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse
 
-from shared.geometry import FloatArray, IntArray, homogeneous, quat_from_rotation, skew, so3_exp, so3_log
+from shared.geometry import FloatArray, IntArray
 from station.slam.mono.config import FilterConfig
-from station.slam.mono.measurement import angles_of
-from station.slam.mono.motion import ATTITUDE, CAMERA, POSITION, TURN, VELOCITY
-from station.slam.mono.quaternion import left, rotation
+from station.slam.mono.measurement import first_seen, predict
+from station.slam.mono.motion import CAMERA, POSE, first_camera, impulse_covariance, move
 from station.slam.mono.state import State
 from station.vision.lens import Lens
 
-STEPS = 60
-SETTLED = 1e-3  # of the cost, a chi-square
+STEPS = 40
+SETTLED = 1e-2  # of the cost, a chi-square
+BAD_SIGMAS = 2.0  # a feature whose errors are larger on the mean is no fixed point
+OUT_OF_VIEW = 100.0  # sigmas: what a step costs that takes a feature out of the picture that shows it
+SWEEPS = 3  # with features left out and the noise measured
 HUBER = 3.0  # sigmas; beyond, a measurement counts by its distance instead of its square
-NEAREST, WIDEST = 0.1, 2.0  # of a ray's z, and of normalised coordinates: a wild step stays finite
-FIXED = -1  # column of what is not sought
-# Residuals (M, d) with their derivatives: first columns (M,) of the unknowns, and blocks (M, d, k).
-Terms = tuple[FloatArray, list[tuple[IntArray, FloatArray]]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Guess:
-    """The unknowns, of K + 1 pictures and N features."""
+class Solved:
+    """The most probable first pictures."""
 
-    r: FloatArray  # (K + 1, 3) camera positions
-    R: FloatArray  # (K + 1, 3, 3) attitudes
-    xy: FloatArray  # (N, 2) where a feature's first picture shows it, normalised
-    rho: FloatArray  # (N,) inverse distance from there
-
-    def moved(self, dx: FloatArray) -> Guess:
-        K = len(self.r) - 1
-        pose, feature = dx[: 6 * K].reshape(K, 6), dx[6 * K :].reshape(-1, 3)
-        r, R = self.r.copy(), self.R.copy()
-        r[1:] += pose[:, :3]
-        R[1:] = R[1:] @ so3_exp(pose[:, 3:])
-        return Guess(r, R, self.xy + feature[:, :2], self.rho + feature[:, 2])
-
-    def flat(self, rho: float) -> Guess:
-        return Guess(np.zeros_like(self.r), self.R, self.xy, np.full_like(self.rho, rho))
-
-    def pose_columns(self) -> IntArray:
-        """(K + 1,)"""
-        columns = 6 * np.arange(-1, len(self.r) - 1)
-        columns[0] = FIXED
-        return columns
-
-    def feature_columns(self) -> IntArray:
-        """(N,)"""
-        return 6 * (len(self.r) - 1) + 3 * np.arange(len(self.rho))
-
-    def rays(self) -> tuple[FloatArray, FloatArray]:
-        """Unit rays (N, 3) in the axes of the first picture of each, and their derivative by xy (N, 3, 2)."""
-        ray = homogeneous(self.xy)
-        length = np.linalg.norm(ray, axis=1)[:, None]
-        m = ray / length
-        return m, ((np.eye(3) - m[:, :, None] * m[:, None, :]) / length[:, :, None])[:, :, :2]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Measured:
-    """All that was measured, one row a feature and picture."""
-
-    frame: IntArray  # (M,)
-    feature: IntArray  # (M,)
-    uv_px: FloatArray  # (M, 2)
-    first_frame: IntArray  # (N,) of each feature
-    dt_s: FloatArray  # (K,) between pictures
+    cost: float
+    u: FloatArray  # (6 K + 3 N,)
+    cov: FloatArray
+    x_v: FloatArray  # (K + 1, 13) cameras
+    x_v_by_u: FloatArray  # (K + 1, 13, 6 K)
+    y: FloatArray  # (N, 6) features
+    y_by_u: FloatArray  # (N, 6, 6 K + 3 N)
+    error_px: FloatArray  # (M, 2) of the measurements
 
 
 class Start:
     def __init__(self, lens: Lens, config: FilterConfig) -> None:
         self._lens, self._config = lens, config
         self._dt_s: list[float] = []
-        self._cameras: list[FloatArray] = []
         self._seen: list[tuple[IntArray, FloatArray]] = []
 
-    def take(self, dt_s: float, state: State, ids: IntArray, uv_px: FloatArray) -> State:
-        """Keep a picture's measurements, as long as the start lasts; the state, a better one where it was solved."""
+    def take(self, dt_s: float, state: State, ids: IntArray, uv_px: FloatArray, sigma_px: float) -> tuple[State, float]:
+        """Keep a picture's measurements while the start lasts; the state and the noise, better where it was solved."""
         if len(self._seen) >= max(self._config.start_frames):
-            return state
+            return state, sigma_px
         self._dt_s.append(dt_s)
-        self._cameras.append(state.camera.copy())
         self._seen.append((ids, uv_px))
-        return self._solve(state) if len(self._seen) in self._config.start_frames else state
+        return self._solve(state) if len(self._seen) in self._config.start_frames else (state, sigma_px)
 
-    def _solve(self, state: State) -> State:
+    def _solve(self, state: State) -> tuple[State, float]:
         counts = [len(ids) for ids, _ in self._seen]
-        ids, first, feature = np.unique(
-            np.concatenate([ids for ids, _ in self._seen]), return_index=True, return_inverse=True
-        )
+        every = np.concatenate([ids for ids, _ in self._seen])
         frame, uv = np.repeat(np.arange(len(counts)), counts), np.concatenate([uv for _, uv in self._seen])
-        measured = Measured(frame, feature, uv, frame[first], np.array(self._dt_s[1:]))
-        cameras, y = np.array(self._cameras), state.features()
-        rho = np.full(len(ids), self._config.first_inverse_depth)
-        alive = np.searchsorted(ids, state.ids)
-        away = np.linalg.norm(y[:, :3] - cameras[frame[first][alive], POSITION], axis=1)
-        rho[alive] = np.where(state.is_inverse, y[:, 5], 1.0 / np.maximum(away, NEAREST))
-        R = np.array([rotation(q) for q in cameras[:, ATTITUDE]])
-        guess = Guess(cameras[:, POSITION], R, self._lens.unproject(uv[first]), rho)
-        flat = guess.flat(self._config.first_inverse_depth)
-        _, best, cov = min((self._descend(g, measured) for g in (guess, flat)), key=lambda found: found[0])
-        return _state(best, cov, measured, state.ids, alive)
+        keep, sigma_px = np.ones(len(every), dtype=bool), self._config.sigma_px
+        for _ in range(SWEEPS):
+            dt_s = np.array(self._dt_s[1:])
+            problem = Problem(self._lens, self._config, dt_s, every[keep], frame[keep], uv[keep], sigma_px)
+            ones = problem.solve(problem.mean)
+            best = min(ones, problem.solve(problem.mirrored(ones.u)), key=lambda found: found.cost)
+            sigma_px, bad = problem.judge(best)
+            if not len(bad):
+                break
+            keep &= ~np.isin(every, bad)
+        return problem.state(best, state), sigma_px
 
-    def _descend(self, guess: Guess, measured: Measured) -> tuple[float, Guess, FloatArray]:
-        """The cost of the nearest minimum, where it is, and the covariance of the unknowns there."""
+
+class Problem:
+    """All that was measured, one row a feature and picture."""
+
+    def __init__(
+        self,
+        lens: Lens,
+        config: FilterConfig,
+        dt_s: FloatArray,
+        ids: IntArray,
+        frame: IntArray,
+        uv_px: FloatArray,
+        sigma_px: float,
+    ) -> None:
+        self._lens, self._config, self._sigma_px = lens, config, sigma_px
+        self.ids, first, feature = np.unique(ids, return_index=True, return_inverse=True)
+        self._dt_s, self._first_uv, self._first = dt_s, uv_px[first], frame[first]
+        later = frame > self._first[feature]
+        self._frame, self._feature, self._uv = frame[later], feature[later], uv_px[later]
+        K, N = len(dt_s), len(self.ids)
+        self.K, self.N = K, N
+        impulses = np.sqrt(np.array([np.diag(impulse_covariance(config, dt)) for dt in dt_s]))
+        impulses[0] = np.hypot(impulses[0], np.sqrt(np.diag(first_camera(config)[1])[7:]))  # the first velocity too
+        own = np.tile([sigma_px, sigma_px, config.sigma_first_inverse_depth], N)
+        self.sigma = np.concatenate([impulses.ravel(), own])
+        self.mean = np.zeros(len(self.sigma))
+        self.mean[6 * K + 2 :: 3] = config.first_inverse_depth
+
+    def mirrored(self, u: FloatArray) -> FloatArray:
+        """The world that moves alike in the pictures: near and far exchanged, the camera on the other side, and turned.
+
+        To first order a pixel moves by rho (-V_x, -V_y) + (-Omega_y, Omega_x), the same for 2 mean - rho, -V and
+        Omega + 2 mean (-V_y, V_x): the reversal of a relief, which only a longer path tells from the truth.
+        """
+        other, K = u.copy(), self.K
+        rho, impulse = other[6 * K + 2 :: 3], other[: 6 * K].reshape(K, 6)
+        middle = float(np.median(rho))
+        impulse[:, 3:5] += 2.0 * middle * impulse[:, 1::-1] * [-1.0, 1.0]
+        impulse[:, :2] *= -1.0
+        rho[:] = np.maximum(2.0 * middle - rho, 0.1 * middle)
+        return other
+
+    def solve(self, u: FloatArray) -> Solved:
         damping = 1e-3
-        cost, A, b = self._normal_equations(guess, measured)
+        found, A, b = self.linearised(u)
         for _ in range(STEPS):
-            damped = A + damping * np.diag(np.diag(A))
-            new = guess.moved(scipy.linalg.solve(damped, -b, assume_a="pos", check_finite=False))
-            found = self._normal_equations(new, measured)
-            if found[0] >= cost:
+            step = scipy.linalg.solve(A + damping * np.diag(np.diag(A)), -b, assume_a="pos", check_finite=False)
+            new, A_new, b_new = self.linearised(found.u + step)
+            if new.cost >= found.cost:
                 damping *= 10.0
                 continue
-            gained, damping = cost - found[0], 0.1 * damping
-            guess, (cost, A, b) = new, found
+            gained, damping = found.cost - new.cost, 0.1 * damping
+            found, A, b = new, A_new, b_new
             if gained < SETTLED:
                 break
-        return cost, guess, np.asarray(scipy.linalg.inv(A))
+        found.cov[:] = scipy.linalg.inv(A)
+        return found
 
-    def _normal_equations(self, g: Guess, measured: Measured) -> tuple[float, FloatArray, FloatArray]:
-        """Huber's cost, J^T J and J^T e."""
-        pixels, *others = self.terms(g, measured)
-        length = np.linalg.norm(pixels[0], axis=1)
+    def linearised(self, u: FloatArray) -> tuple[Solved, FloatArray, FloatArray]:
+        """With Huber's cost, J^T J and J^T e."""
+        K, N, first, f = self.K, self.N, self._first, self._feature
+        x_v, D = np.zeros((K + 1, CAMERA)), np.zeros((K + 1, CAMERA, 6 * K))
+        x_v[0, 3] = 1.0
+        for k in range(K):
+            own = slice(6 * k, 6 * k + 6)
+            x_v[k + 1], F, G = move(x_v[k], u[own], float(self._dt_s[k]))
+            D[k + 1] = F @ D[k]
+            D[k + 1, :, own] += G
+        own_of = u[6 * K :].reshape(N, 3)
+        y, by_camera, by_own = first_seen(x_v[first], self._first_uv + own_of[:, :2], own_of[:, 2], self._lens)
+        seen = predict(x_v[self._frame], y[f], np.ones(len(f), dtype=bool), self._lens)
+        e = (seen.uv_px - self._uv) / self._sigma_px
+        e[~seen.in_view] = OUT_OF_VIEW
+        length = np.linalg.norm(e, axis=1)
         over = np.maximum(length / HUBER, 1.0)
-        cost = float(np.where(over > 1.0, 2.0 * HUBER * length - HUBER**2, length**2).sum())
-        cost += float(sum((e * e).sum() for e, _ in others))
-        weight = 1.0 / np.sqrt(over)
-        weighed = pixels[0] * weight[:, None], [(at, J * weight[:, None, None]) for at, J in pixels[1]]
-        e, J = assembled((weighed, *others), 6 * (len(g.r) - 1) + 3 * len(g.rho))
-        return cost, np.asarray((J.T @ J).toarray()), np.asarray(J.T @ e)
-
-    def terms(self, g: Guess, measured: Measured) -> tuple[Terms, ...]:
-        """All residuals, each over its sigma; pixels first."""
-        return self._pixels(g, measured), *self._impulses(g, measured), self._depths(g)
-
-    def _pixels(self, g: Guess, measured: Measured) -> Terms:
-        """Eqs. C.5 and 2.5 with the lens' distortion, over sigma_px."""
-        j, f = measured.frame, measured.feature
-        a = measured.first_frame[f]
-        m, m_by_xy = g.rays()
-        R_jw = np.swapaxes(g.R[j], 1, 2)
-        R_ja, between = R_jw @ g.R[a], (R_jw @ (g.r[a] - g.r[j])[:, :, None])
-        h = (R_ja @ m[f][:, :, None] + g.rho[f, None, None] * between)[:, :, 0]
-        z = np.maximum(h[:, 2], NEAREST)
-        xy = np.clip(h[:, :2] / z[:, None], -WIDEST, WIDEST)
-        pinhole = np.zeros((len(h), 2, 3))
-        pinhole[:, 0, 0] = pinhole[:, 1, 1] = 1.0 / z
-        pinhole[:, :, 2] = -xy / z[:, None]
-        by_h = self._lens.whitening(xy, self._config.sigma_px) @ pinhole
-        e = (self._lens.project(xy) - measured.uv_px) / self._config.sigma_px
-        rho_R, columns = g.rho[f, None, None] * R_jw, np.where((j != a)[:, None], g.pose_columns()[[j, a]].T, FIXED)
-        return e, [
-            (columns[:, 0], by_h @ np.concatenate([-rho_R, skew(h)], axis=2)),
-            (columns[:, 1], by_h @ np.concatenate([rho_R, -R_ja @ skew(m[f])], axis=2)),
-            (g.feature_columns()[f], by_h @ np.concatenate([R_ja @ m_by_xy[f], between], axis=2)),
-        ]
-
-    def _impulses(self, g: Guess, measured: Measured) -> tuple[Terms, Terms]:
-        """Eq. 2.1, V and Omega over their sigmas: what changes a velocity from one picture to the next.
-
-        The first one holds the first velocity as well, of which only the size is known.
-        """
-        config, dt = self._config, measured.dt_s[:, None]
-        phi = so3_log(np.swapaxes(g.R[:-1], 1, 2) @ g.R[1:])
-        eye, half = np.broadcast_to(np.eye(3), (len(dt), 3, 3)) / dt[:, :, None], 0.5 * skew(phi) / dt[:, :, None]
-        columns = np.concatenate([[FIXED], g.pose_columns()])
-        none = np.zeros((1, 3, 3))
-
-        def terms(velocity: FloatArray, new: FloatArray, old: FloatArray, first: float, accel: float, at: int) -> Terms:
-            sigma = accel * dt
-            sigma[0] = np.hypot(first, sigma[0])
-            blocks = new, old - np.concatenate([none, new[:-1]]), np.concatenate([none, -old[:-1]])
-            starts = columns[2:], columns[1:-1], columns[:-2]
-            return np.diff(velocity, axis=0, prepend=0.0) / sigma, [
-                (np.where(start >= 0, start + at, FIXED), block / sigma[:, :, None])
-                for start, block in zip(starts, blocks, strict=True)
-            ]
-
-        v = np.diff(g.r, axis=0) / dt
-        return (
-            terms(v, eye, -eye, config.sigma_first_velocity, config.sigma_accel, 0),
-            terms(phi / dt, eye + half, half - eye, config.sigma_first_turn, config.sigma_angular_accel, 3),
+        off = (u - self.mean) / self.sigma
+        cost = float(np.where(over > 1.0, 2.0 * HUBER * length - HUBER**2, length**2).sum() + off @ off)
+        weight = (1.0 / (self._sigma_px * np.sqrt(over)))[:, None, None]
+        blocks = (
+            weight * seen.by_pose,
+            weight * seen.by_feature @ by_camera[f][:, :, :POSE],
+            weight * seen.by_feature @ by_own[f],
         )
+        columns = POSE * self._frame, POSE * first[f], POSE * (K + 1) + 3 * f
+        M = len(f)
+        J = scipy.sparse.csr_array((2 * M, POSE * (K + 1) + 3 * N))
+        for block, column in zip(blocks, columns, strict=True):
+            rows = np.broadcast_to((2 * np.arange(M))[:, None, None] + np.arange(2)[:, None], block.shape)
+            at = np.broadcast_to(column[:, None, None] + np.arange(block.shape[2]), block.shape)
+            J = J + scipy.sparse.csr_array((block.ravel(), (rows.ravel(), at.ravel())), shape=J.shape)
+        chain = scipy.linalg.block_diag(D[:, :POSE].reshape(-1, 6 * K), np.eye(3 * N))
+        A = chain.T @ (J.T @ J).toarray() @ chain + np.diag(self.sigma**-2.0)
+        b = chain.T @ (J.T @ (e / np.sqrt(over)[:, None]).ravel()) + off / self.sigma
+        y_by_u = np.concatenate([by_camera @ D[first], np.zeros((N, 6, 3 * N))], axis=2)
+        for i in range(N):
+            y_by_u[i, :, 6 * K + 3 * i : 6 * K + 3 * i + 3] = by_own[i]
+        return Solved(cost, u, np.empty_like(A), x_v, D, y, y_by_u, e * self._sigma_px), A, b
 
-    def _depths(self, g: Guess) -> Terms:
-        """What is believed of an inverse depth before it is seen twice."""
-        sigma = self._config.sigma_first_inverse_depth
-        e = (g.rho[:, None] - self._config.first_inverse_depth) / sigma
-        return e, [(g.feature_columns() + 2, np.full((len(e), 1, 1), 1.0 / sigma))]
+    def judge(self, found: Solved) -> tuple[float, IntArray]:
+        """The noise that is left, and the features that contradict the others."""
+        square = (found.error_px**2).sum(axis=1)
+        count = np.bincount(self._feature, minlength=self.N)
+        mean = np.bincount(self._feature, square, minlength=self.N) / np.maximum(2 * count, 1)
+        common = float(np.median(np.repeat(mean, count)))
+        good = mean < 4.0 * common
+        rows = good[self._feature]
+        free = 2 * int(rows.sum()) - 6 * self.K - int(good.sum())
+        sigma_px = max(float(np.sqrt(square[rows].sum() / max(free, 1))), self._config.min_sigma_px)
+        return sigma_px, self.ids[mean > (BAD_SIGMAS * sigma_px) ** 2]
 
-
-def assembled(terms: tuple[Terms, ...], size: int) -> tuple[FloatArray, scipy.sparse.csr_array]:
-    """All residuals in one column, and their derivative by all unknowns."""
-    values, rows, columns, offset = [], [], [], 0
-    for e, blocks in terms:
-        row = offset + np.arange(e.size).reshape(*e.shape, 1)
-        offset += e.size
-        for start, J in blocks:
-            sought = start != FIXED
-            shape = J[sought].shape
-            values.append(J[sought].ravel())
-            rows.append(np.broadcast_to(row[sought], shape).ravel())
-            columns.append(np.broadcast_to(start[sought, None, None] + np.arange(shape[2]), shape).ravel())
-    at = np.concatenate(rows), np.concatenate(columns)
-    J_all = scipy.sparse.csr_array((np.concatenate(values), at), shape=(offset, size))
-    return np.concatenate([e.ravel() for e, _ in terms]), J_all
-
-
-def _state(g: Guess, cov: FloatArray, measured: Measured, ids: IntArray, alive: IntArray) -> State:
-    """The filter's state at the last picture; alive: rows of the features that it holds."""
-    K, size, dt = len(g.r) - 1, CAMERA + 6 * len(ids), float(measured.dt_s[-1])
-    x, J = np.zeros(size), np.zeros((size, len(cov)))
-    q, phi = quat_from_rotation(g.R[-1]), so3_log(g.R[-2].T @ g.R[-1])
-    x[:CAMERA] = np.concatenate([g.r[-1], q, (g.r[-1] - g.r[-2]) / dt, phi / dt])
-    r, turn = slice(6 * K - 6, 6 * K - 3), slice(6 * K - 3, 6 * K)
-    r_before, turn_before = slice(6 * K - 12, 6 * K - 9), slice(6 * K - 9, 6 * K - 6)
-    J[POSITION, r] = np.eye(3)
-    J[ATTITUDE, turn] = 0.5 * left(q)[:, 1:]
-    J[VELOCITY, r], J[VELOCITY, r_before] = np.eye(3) / dt, -np.eye(3) / dt
-    J[TURN, turn], J[TURN, turn_before] = (np.eye(3) + 0.5 * skew(phi)) / dt, (0.5 * skew(phi) - np.eye(3)) / dt
-    m, m_by_xy = g.rays()
-    for row, f in zip(range(CAMERA, size, 6), alive.tolist(), strict=True):
-        a, column = int(measured.first_frame[f]), 6 * K + 3 * f
-        angles, by_ray = angles_of((g.R[a] @ m[f])[None])
-        by_axes = by_ray[0] @ g.R[a]
-        x[row : row + 6] = np.concatenate([g.r[a], angles[0], g.rho[f : f + 1]])  # eq. C.2
-        if a:
-            J[row : row + 3, 6 * a - 6 : 6 * a - 3] = np.eye(3)
-            J[row + 3 : row + 5, 6 * a - 3 : 6 * a] = -by_axes @ skew(m[f])
-        J[row + 3 : row + 5, column : column + 2] = by_axes @ m_by_xy[f]
-        J[row + 5, column + 2] = 1.0
-    P = J @ cov @ J.T
-    return State(x, 0.5 * (P + P.T), ids, np.ones(len(ids), dtype=bool))
+    def state(self, found: Solved, old: State) -> State:
+        """The filter's state at the last picture, of the features of `old` that were not left out."""
+        alive = np.flatnonzero(np.isin(self.ids, old.ids))
+        x = np.concatenate([found.x_v[-1], found.y[alive].ravel()])
+        J = np.zeros((len(x), len(found.u)))
+        J[:CAMERA, : 6 * self.K] = found.x_v_by_u[-1]
+        J[CAMERA:] = found.y_by_u[alive].reshape(-1, len(found.u))
+        P = J @ found.cov @ J.T
+        return State(x, 0.5 * (P + P.T), self.ids[alive], np.ones(len(alive), dtype=bool))

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg
 
-from shared.geometry import FloatArray, IntArray, homogeneous
+from shared.geometry import FloatArray, IntArray
 from station.slam.mono.config import FilterConfig
-from station.slam.mono.measurement import Predicted, angles_of, bearing, to_xyz
+from station.slam.mono.measurement import Predicted, bearing, first_seen, to_xyz
 from station.slam.mono.motion import ATTITUDE, CAMERA, POSE, POSITION, impulse_covariance, move
-from station.slam.mono.quaternion import normalise, rotate, rotate_by_q
+from station.slam.mono.quaternion import normalise
 from station.vision.lens import BoolArray, Lens
 
 
@@ -128,28 +128,14 @@ class State:
 
     # ---- the map
 
-    def with_features(self, ids: IntArray, uv_px: FloatArray, lens: Lens, config: FilterConfig) -> State:
+    def with_features(
+        self, ids: IntArray, uv_px: FloatArray, lens: Lens, config: FilterConfig, sigma_px: float
+    ) -> State:
         """New features of six numbers from one view of them (C.2): all that is unknown is how far they are."""
-        h_R = homogeneous(lens.unproject(uv_px))
-        by_pixel = np.zeros((len(ids), 3, 2))
-        by_pixel[:, :2] = np.linalg.inv(lens.whitening(h_R[:, :2], 1.0))
-        q = self.x[ATTITUDE]
-        angles, by_ray = angles_of(rotate(q, h_R))
-        y = np.concatenate(
-            [
-                np.tile(self.x[POSITION], (len(ids), 1)),
-                angles,
-                np.full((len(ids), 1), config.first_inverse_depth),
-            ],
-            axis=1,
-        )  # eq. C.2
-        by_camera = np.zeros((len(ids), 6, CAMERA))
-        by_camera[:, range(3), range(3)] = 1.0
-        by_camera[:, 3:5, ATTITUDE] = by_ray @ rotate_by_q(q, h_R)
-        angles_by_pixel = by_ray @ rotate(q, np.swapaxes(by_pixel, 1, 2)).swapaxes(1, 2)
-        own = np.zeros((len(ids), 6, 6))
-        own[:, 3:5, 3:5] = config.sigma_px**2 * angles_by_pixel @ np.swapaxes(angles_by_pixel, 1, 2)
-        own[:, 5, 5] = config.sigma_first_inverse_depth**2
+        rho = np.full(len(ids), config.first_inverse_depth)
+        y, by_camera, by_own = first_seen(np.tile(self.camera, (len(ids), 1)), uv_px, rho, lens)  # eq. C.2
+        sigma = np.array([sigma_px, sigma_px, config.sigma_first_inverse_depth])
+        own = by_own * sigma**2 @ np.swapaxes(by_own, 1, 2)
         J = by_camera.reshape(-1, CAMERA)
         with_state = J @ self.P[:CAMERA]
         among = with_state[:, :CAMERA] @ J.T + scipy.linalg.block_diag(*own)

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import platform
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
-import cv2
 import msgspec
 import numpy as np
-import scipy
 
 from shared.calibration import Calibration
 from shared.geometry import se3
@@ -17,6 +14,7 @@ from station.model.best_camera import corrected, misfit_of
 from station.model.calibration_fit import CalibrationFit
 from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 from station.motion.imu_buffer import ImuCounts
+from station.slam.mapping import report as mapping_report
 from station.slam.mapping.assemble import make_keyframes
 from station.slam.mapping.intake import FrameIntake
 from station.slam.ukf.config import UkfConfig
@@ -149,29 +147,5 @@ def make_report(
         "IMU samples that were repeated or late": imu.out_of_order,
         "IMU samples at the sensor's range": imu.saturated,
         "gaps in the IMU data": imu.gaps,
-        "images out of order": intake.out_of_order,
-        "images that could not be decoded": intake.undecodable,
-        "images without IMU samples": intake.without_imu,
     }
-    plain: dict[str, Any] = msgspec.to_builtins(asdict(config))
-    return NavigationReport(
-        backend="ukf",
-        frames=intake.used,
-        duration_s=intake.elapsed_s,
-        wall_s=0.0,
-        realtime_factor=0.0,
-        cpu_s=0.0,
-        landmarks=0,
-        tracking_lost_s=lost_s,
-        scale="metric",
-        gravity_aligned=True,
-        seed=seed,
-        versions={
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-            "scipy": scipy.__version__,
-            "opencv": cv2.__version__,
-        },
-        config=plain,
-        messages=(*messages, *(f"{count} {what}" for what, count in refused.items() if count)),
-    )
+    return mapping_report.make_report("ukf", intake, config, lost_s, seed, True, messages, refused)
