@@ -50,7 +50,10 @@ COMMANDS = {
         "Reconstruct, map and ask for the current place, as the running station would; prints a hash of each result.",
     ),
     "serve": ("serve", "Serve the page and the API: drive, map, and ask which place the robot is at."),
-    "stickers": ("stickers", "Print stickers that name rooms; the robot reads them when it maps the home."),
+    "stickers": (
+        "stickers",
+        "Write stickers that name rooms: a code that the robot reads from 1.5 m and further, the name beneath.",
+    ),
     "slam": ("slam", "Reconstruct trajectory and landmarks of one recorded navigation."),
     "access": ("access", "Who may use this station."),
     "map": ("map", "Places, their graph and their names."),

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy import ndimage
 
 from shared.geometry import FloatArray
 from station.model.floor_plan import NO_ROOM, OCCUPIED, FloorPlan
@@ -92,16 +91,20 @@ def room_colour(number: int) -> Colour:
 def room_outlines(plan: FloorPlan) -> list[list[FloatArray]]:
     """For each room its closed outlines (n, 2), map units on the ground; the first one is the largest."""
     found: list[list[FloatArray]] = []
-    boxes = ndimage.find_objects(plan.room.astype(np.int32) - NO_ROOM, max_label=len(plan.rooms))
-    for number, box in enumerate(boxes):
-        if box is None:
+    cells = np.argwhere(plan.room != NO_ROOM)
+    numbers = plan.room[tuple(cells.T)]
+    low, high = np.tile(plan.room.shape, (len(plan.rooms), 1)), np.zeros((len(plan.rooms), 2), dtype=np.int64)
+    np.minimum.at(low, numbers, cells)
+    np.maximum.at(high, numbers, cells + 1)
+    for number, (begin, end) in enumerate(zip(low, high, strict=True)):
+        if (end <= begin).any():
             found.append([])
             continue
-        mask = np.pad(plan.room[box] == number, 1).astype(np.uint8)
+        mask = np.pad(plan.room[begin[0] : end[0], begin[1] : end[1]] == number, 1).astype(np.uint8)
         # Twice as fine, so that the outline runs around the cells and not through their middles.
         fine = np.kron(mask, np.ones((2, 2), dtype=np.uint8))
         outlines, _ = cv2.findContours(fine, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-        corner = plan.low + plan.cell * (np.array([box[0].start, box[1].start]) - 1)
+        corner = plan.low + plan.cell * (begin - 1)
         pieces = []
         for outline in sorted(outlines, key=cv2.contourArea, reverse=True):
             smooth = cv2.approxPolyDP(outline, 2 * SMOOTH_CELLS, closed=True)[:, 0, ::-1]

@@ -6,15 +6,15 @@ from dataclasses import replace
 
 from station.model.floor_plan import FloorPlan
 from station.model.place_map import PlaceMap
-from station.places.naming.suggest import suggest_names
 from station.places.rooms.place_names import named_by_rooms
-from station.places.rooms.plan import make_floor_plan
 
 
 def planned(place_map: PlaceMap, earlier: PlaceMap | None = None) -> PlaceMap:
     """The map with its floor plan. Rooms keep the ids and names that they had in it, or in an `earlier` map of the same
     frame, and so does what people made of them.
     """
+    from station.places.rooms.plan import make_floor_plan  # SciPy, which a station needs only once somebody edits doors
+
     before = place_map if earlier is None else earlier
     plan = make_floor_plan(place_map.navigation, place_map.places, before.plan_edits, before.plan)
     return with_plan(replace(place_map, plan_edits=before.plan_edits), plan)
@@ -30,6 +30,8 @@ def with_plan(place_map: PlaceMap, plan: FloorPlan) -> PlaceMap:
 
 def with_suggestions(place_map: PlaceMap) -> PlaceMap:
     """The map with names that something in its pictures speaks for. Looks at every picture; nothing is named yet."""
+    from station.places.naming.suggest import suggest_names  # as above: workers make maps
+
     if place_map.plan is None:
         return place_map
     return replace(place_map, suggestions=suggest_names(place_map, place_map.plan))
