@@ -231,7 +231,8 @@ def build_map(demo: Demo, navigation: str) -> list[dict[str, Any]]:
         x, y, _ = place["centroid_map"]
         demo.say(f"    {place['name']:12s} {place['landmarks']:5d} landmarks at ({x:+.1f}, {y:+.1f}) m")
     name_rooms(demo)
-    return places
+    named: list[dict[str, Any]] = demo.station.get("/places")  # called after their rooms' names
+    return named
 
 
 def name_rooms(demo: Demo) -> None:
