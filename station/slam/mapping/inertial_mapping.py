@@ -6,7 +6,6 @@ loops are closed has one scale everywhere, so that every start, stop and turn of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +24,6 @@ def lay_on_imu(
     T_world_body: FloatArray,
     v_world: FloatArray,
     terms: InertialTerms,
-    rays: Sequence[FloatArray],
     camera: CameraCalibration,
     sigma_px: float,
 ) -> OdometryMap:
@@ -38,8 +36,8 @@ def lay_on_imu(
     state = _upright(made.state, T_world_body[:, 2, :3])
     turned = state.R_world_body @ np.swapaxes(T_world_body[:, :3, :3], 1, 2)
     state = replace(state, motion=terms.start((turned @ v_world[:, :, None])[:, :, 0]))
-    state, kept = refine(state, made.tracks, rays, terms, camera, LAST_SCALES * ROUNDS, sigma_px, damping=1e-8)
-    return odometry_map(state, kept, rays, camera, made.num_loops, made.num_matches)
+    state, kept = refine(state, made.tracks, made.rays, terms, camera, LAST_SCALES * ROUNDS, sigma_px, damping=1e-8)
+    return odometry_map(state, kept, made.rays, camera, made.num_loops, made.num_matches)
 
 
 def _upright(state: BundleState, up_body: FloatArray) -> BundleState:

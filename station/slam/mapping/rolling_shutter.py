@@ -5,9 +5,19 @@ Either a pose is moved on to the row's time, or what the row saw is turned back 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from shared.geometry import FloatArray, homogeneous, so3_exp
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RowMotion:
+    """What a camera did while it exposed one image."""
+
+    delay_s: FloatArray  # (n,) from the image's time to the row of each feature
+    v_cam: FloatArray  # (3,) m/s, of the camera in its own frame
 
 
 def observation_pose(
@@ -28,8 +38,20 @@ def turned_back(xy: FloatArray, delay_s: FloatArray, omega_cam: FloatArray) -> F
     """Normalised image coordinates (N, 2) as if each had been exposed delay_s (N,) earlier by a camera that turns.
 
     Args:
-        omega_cam: (3,) rad/s in the camera frame. What the camera moves meanwhile (a few mm) is left out.
+        omega_cam: (3,) rad/s in the camera frame. What the camera moves meanwhile is left to `moved_back`.
     """
     turn = so3_exp(delay_s[:, None] * omega_cam)
     rays = np.einsum("nij,nj->ni", turn, homogeneous(xy))
     return np.asarray(rays[:, :2] / rays[:, 2:])
+
+
+def moved_back(xy: FloatArray, depth: FloatArray, delay_s: FloatArray, v_cam: FloatArray) -> FloatArray:
+    """Normalised image coordinates (N, 2) as if each had been exposed delay_s (N,) earlier by a camera that moves.
+
+    Args:
+        depth: (N,) m of what is seen, at the earlier time.
+        v_cam: (N, 3) m/s in the camera frame.
+    """
+    moved = v_cam * delay_s[:, None]
+    then = depth - moved[:, 2]
+    return np.asarray((xy * then[:, None] + moved[:, :2]) / depth[:, None])

@@ -20,7 +20,7 @@ from station.slam.mapping.inertial_mapping import lay_on_imu
 from station.slam.mapping.inertial_terms import InertialTerms, WheelTerms
 from station.slam.mapping.odometry import Drift, RelativeMotions
 from station.slam.mapping.odometry_mapping import map_with_motions, read_odometry_map
-from station.slam.mapping.rolling_shutter import turned_back
+from station.slam.mapping.rolling_shutter import RowMotion, turned_back
 from station.slam.ukf.filter.constraints import WheelsKnown
 from station.slam.ukf.map.pose_log import PoseLog
 from station.slam.ukf.map.views import MapViews, View
@@ -82,7 +82,8 @@ def map_views(
         motions = relative_motions(items, noise)
         features = [v.features for v in items]
         rays = [straight_rays(v, camera) for v in items]
-        made = map_with_motions(features, rays, pairs, motions, calibration, views.mapping)
+        rows = [row_motion(v, camera) for v in items] if camera.line_delay_s else None
+        made = map_with_motions(features, rays, pairs, motions, calibration, views.mapping, rows)
         if made.tracks.num_points == 0:
             continue
         terms = inertial_terms(items, noise, gravity, wheels)
@@ -90,7 +91,7 @@ def map_views(
             terms = None  # too many views hang on the filter's motions, which had tracks of what no view finds again
         if terms is not None:
             v_world = np.array([v.keyframe.v_world for v in items])
-            made = lay_on_imu(made, motions.T_world_body, v_world, terms, rays, calibration, camera.sigma_px)
+            made = lay_on_imu(made, motions.T_world_body, v_world, terms, calibration, camera.sigma_px)
         part = read_odometry_map(made, [v.keyframe.image for v in items], features, calibration, views.mapping)
         if terms is None:
             part = level(part, motions.T_world_body, calibration)
@@ -159,13 +160,20 @@ def _head_turns(items: list[View]) -> FloatArray:
 
 
 def straight_rays(view: View, camera: CameraModel) -> FloatArray:
-    """Normalised image coordinates (N, 2) as if all rows had been exposed with the middle one, the pose's."""
+    """Normalised image coordinates (N, 2) as if the camera had not turned since the middle row, the pose's."""
     uv = view.features.uv_px
     xy = camera.lens.unproject(uv)
     if camera.line_delay_s == 0.0 or not len(xy):
         return xy
     omega_cam = camera.R_body_cam.T @ view.keyframe.omega_head
     return turned_back(xy, camera.row_delay_s(uv[:, 1]), omega_cam)
+
+
+def row_motion(view: View, camera: CameraModel) -> RowMotion:
+    """How the camera moved while it exposed this view, as the filter knew it then."""
+    keyframe = view.keyframe
+    v_head = keyframe.T_world_head[:3, :3].T @ keyframe.v_world + np.cross(keyframe.omega_head, camera.t_body_cam)
+    return RowMotion(camera.row_delay_s(view.features.uv_px[:, 1]), camera.R_body_cam.T @ v_head)
 
 
 def level(part: Reconstructed, T_filter: FloatArray, calibration: CameraCalibration) -> Reconstructed:
