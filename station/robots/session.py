@@ -311,7 +311,9 @@ class RobotSession(IgnoringListener):
         self.events.changed("robot")
 
     def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
-        self.camera.put(SeenFrame(frame, t_station_ns, self.link.to_station_ns(frame.t_robot_ns)))
+        captured = self.link.to_station_ns(frame.t_robot_ns)
+        # The clocks of robot and station are known to a millisecond or so; no picture comes before it was taken.
+        self.camera.put(SeenFrame(frame, t_station_ns, None if captured is None else min(captured, t_station_ns)))
 
     def on_gap(self, num_samples: int) -> None:
         self._warn("link", f"{num_samples} inertial samples were lost", "gap")

@@ -96,8 +96,7 @@ async def test_video_reaches_a_viewer_and_a_stuck_one_slows_nobody(tmp_path: Pat
             while len(seen) < 15:
                 data = await viewer.recv()
                 seq, width, height, _, age_s, _, _ = struct.unpack_from("<IHHqdII", data)
-                assert (width, height) == (640, 480) and data[32:34] == b"\xff\xd8"
-                assert age_s > -0.002  # the clocks of robot and station are known that well
+                assert (width, height) == (640, 480) and data[32:34] == b"\xff\xd8" and age_s >= 0
                 seen.append(seq)
                 await viewer.send("next")
             assert seen == sorted(set(seen))
