@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.paths import ROOT
-from tests.support.station import Desk, store_planned_map
+from tests.support.station import Desk, store_split_map
 from tests.support.station_at_work import at_work, keep_navigation, wait_for
 
 pytestmark = [
@@ -19,24 +19,22 @@ pytestmark = [
     pytest.mark.skipif(shutil.which("curl") is None, reason="the documented lines need curl: apt-get install curl"),
 ]
 DOCS = ROOT / "docs" / "api.md"
-NAMES = re.compile(r"\b(ID|OTHER|MAP|PLACE|ROOM|SECOND|JOB|CMP)\b")
+NAMES = re.compile(r"\b(ID|OTHER|MAP|PLACE|ROOM|NEXT|DOOR|SECOND|JOB|CMP)\b")
 
 
 def documented_lines() -> list[str]:
     block = re.search(r"## By hand\n.*?```sh\n(.*?)```", DOCS.read_text(), re.DOTALL)
     assert block is not None
-    # Doors and merged rooms make the plan anew, which needs a navigation that saw rooms: test_rooms_api.py.
-    remade = ("rooms/merge", "rooms/split", "$S/doors/")
-    return [line for line in block[1].splitlines() if line.startswith("curl") and not any(r in line for r in remade)]
+    return [line for line in block[1].splitlines() if line.startswith("curl")]
 
 
 async def test_every_line_of_the_documentation_does_what_it_says(tmp_path: Path) -> None:
-    place_map = store_planned_map(tmp_path / "data")
+    place_map = store_split_map(tmp_path / "data")
     for name in ("nav-a", "nav-b"):
         keep_navigation(tmp_path / "data", name)
     async with at_work(tmp_path / "data") as (desk, _, _):
         names = {"OTHER": "nav-b", "MAP": place_map.id}
-        names |= {"ROOM": "room-l", "PLACE": place_map.places[0].id, "SECOND": place_map.places[1].id}
+        names |= {"PLACE": place_map.places[0].id, "SECOND": place_map.places[1].id}
         for line in documented_lines():
             if "/stop" in line and "ID" in line:
                 await wait_for(desk, f"/navigations/{names['ID']}", lambda drive: drive["frames"] > 10)
@@ -74,6 +72,9 @@ async def take_note(desk: Desk, line: str, answer: str, names: dict[str, str]) -
         job = await wait_for(desk, f"/jobs/{names['JOB']}", lambda job: job["state"] != "running")
         assert job["state"] == "done", job
         names["CMP"] = str(job["result"].get("comparison", ""))
+    elif line.startswith("curl $S/rooms") or "rooms/split" in line:
+        names["ROOM"], names["NEXT"] = (room["id"] for room in json.loads(answer))
+        (names["DOOR"],) = json.loads(answer)[1]["doors"]
     elif "place/current" in line:
         assert json.loads(answer)["map"] == names["MAP"]
     elif '"id": null' in line:

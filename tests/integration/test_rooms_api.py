@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tests.support.station import store_map, store_planned_map
+from tests.support.station import DRAWN, store_map, store_planned_map, store_split_map
 from tests.support.station_at_work import at_work, is_problem
 
 
@@ -28,6 +28,26 @@ async def test_rooms_are_listed_named_drawn_and_taken_back(tmp_path: Path) -> No
         assert (await http.get("/places/changes")).json()[0]["why"] == "Room 2 is Kitchen now"
         await http.post("/places/undo")
         assert (await http.get("/rooms/room-k")).json()["name"] == "Room 2"
+
+
+async def test_rooms_are_made_one_and_parted_again(tmp_path: Path) -> None:
+    split = store_split_map(tmp_path)
+    async with at_work(tmp_path) as (desk, _, _):
+        http = desk.http
+        await http.put("/maps/active", json={"id": split.id})
+        before = (await http.get("/rooms")).json()
+        first, second = before
+        await http.patch(f"/rooms/{first['id']}", json={"name": "Hall"})
+        merged = (await http.post("/rooms/merge", json={"rooms": [first["id"], second["id"]]})).json()
+        assert (merged["id"], merged["name"]) == (first["id"], "Hall")
+        assert merged["area_m2"] > first["area_m2"] + 0.5 * second["area_m2"]
+        parted = (await http.post("/rooms/split", json={"line": DRAWN.tolist()})).json()
+        assert [room["area_m2"] for room in parted] == [room["area_m2"] for room in before]
+        (door,) = parted[1]["doors"]
+        (whole,) = (await http.delete(f"/doors/{door}")).json()
+        assert whole["area_m2"] == merged["area_m2"]
+        await http.post("/places/undo")
+        assert len((await http.get("/rooms")).json()) == 2
 
 
 async def test_what_cannot_be_done_with_rooms_is_a_problem(tmp_path: Path) -> None:

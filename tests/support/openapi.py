@@ -25,7 +25,7 @@ from schemathesis.specs.openapi.checks import (
 
 from station.library.comparisons import Comparison, Comparisons
 from station.model.place_map import PlaceMap
-from tests.support.station import store_planned_map
+from tests.support.station import DRAWN, store_split_map
 from tests.support.station_at_work import keep_navigation
 
 CHECKS = [
@@ -66,7 +66,7 @@ class Asked:
 
 def furnish(data_dir: Path) -> tuple[PlaceMap, dict[str, list[Any]]]:
     """One of everything in a station's folder; and what it is called, by the names of parameters and fields."""
-    place_map = store_planned_map(data_dir)
+    place_map = store_split_map(data_dir)
     drives = [keep_navigation(data_dir, name).id for name in ("nav-1", "nav-2")]
     comparisons = Comparisons(data_dir / "comparisons")
     comparison_id, folder = comparisons.prepare()
@@ -74,11 +74,13 @@ def furnish(data_dir: Path) -> tuple[PlaceMap, dict[str, list[Any]]]:
     (folder / "results.json").write_text("{}")
     comparisons.store(Comparison(comparison_id, "One", *drives, 1.0, 3, 3, 2, True, (), None), folder)
     places = [place.id for place in place_map.places]
+    assert place_map.plan is not None
+    rooms = [room.id for room in place_map.plan.rooms]
     return place_map, {
         "navigation_id": list(drives), "navigations": drives, "first": drives, "second": drives,
         "map_id": [place_map.id], "id": [place_map.id], "place_id": places, "places": places,
-        "room_id": ["room-l", "room-k"], "rooms": ["room-l", "room-k"], "door_id": ["door-lk"],
-        "robot": ["robot-1"], "keyframe": [0, 1], "job_id": ["job-0"],
+        "room_id": list(rooms), "rooms": rooms, "door_id": [door.id for door in place_map.plan.doors],
+        "line": [DRAWN.tolist()], "robot": ["robot-1"], "keyframe": [0, 1], "job_id": ["job-0"],
         "comparison_id": [comparison_id], "name": ["trajectory.tum", "landmarks.ply"],
     }  # fmt: skip
 
@@ -140,5 +142,5 @@ def _name_what_is_there(values: object, known: dict[str, list[Any]], data: st.Da
         return
     for name in [name for name in values if name in known and data.draw(st.integers(0, 3))]:
         one = st.sampled_from(known[name])
-        is_list = isinstance(values[name], list)
+        is_list = isinstance(values[name], list) and not isinstance(known[name][0], list)
         values[name] = data.draw(st.lists(one, min_size=2, max_size=3) if is_list else one)

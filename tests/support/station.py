@@ -24,12 +24,15 @@ from station.maps.store import MapStore
 from station.model.floor_plan import NameSuggestion
 from station.model.place_map import PlaceMap
 from station.places.making.build import build_map
+from station.places.rooms.edits import with_room_split
+from station.places.rooms.planning import planned
 from station.workers.request import ProgramName
 from tests.support.link import Bench, until
 from tests.support.made_up_workers import PlaceByLight, made_up_navigation
 from tests.support.plans import two_rooms
 
 FRAME_S = 0.05
+DRAWN = np.array([[2.0, -1.0], [2.0, 5.0]])  # right across the made-up room
 
 
 def store_map(data_dir: Path) -> PlaceMap:
@@ -44,9 +47,19 @@ def store_planned_map(data_dir: Path) -> PlaceMap:
     place_map = build_map(made_up_navigation(), name="Made-up room")
     rooms = dict.fromkeys((place.id for place in place_map.places), "room-l")
     suggestion = NameSuggestion("room-k", "Kitchen", "sticker", 0.98, "a sticker says so", 0)
-    planned = replace(place_map, plan=replace(two_rooms(), room_of_place=rooms), suggestions=(suggestion,))
-    MapStore(data_dir / "maps").save(planned)
-    return planned
+    with_plan = replace(place_map, plan=replace(two_rooms(), room_of_place=rooms), suggestions=(suggestion,))
+    MapStore(data_dir / "maps").save(with_plan)
+    return with_plan
+
+
+def store_split_map(data_dir: Path) -> PlaceMap:
+    """A map whose plan is its own: the made-up room parted by a door that somebody drew. One has a suggested name."""
+    place_map = with_room_split(planned(build_map(made_up_navigation(), name="Made-up room")), DRAWN)
+    assert place_map.plan is not None and len(place_map.plan.rooms) == 2
+    suggestion = NameSuggestion(place_map.plan.rooms[1].id, "Kitchen", "sticker", 0.98, "a sticker says so", 0)
+    place_map = replace(place_map, suggestions=(suggestion,))
+    MapStore(data_dir / "maps").save(place_map)
+    return place_map
 
 
 def picture(number: int, colour: tuple[int, int, int] | None = None) -> bytes:
