@@ -86,13 +86,14 @@ class CameraCalibration(msgspec.Struct, frozen=True, kw_only=True):
     def _check_mounting(self) -> None:
         T = self.T_body_cam_matrix
         R = T[:3, :3]
-        is_rotation = np.abs(R @ R.T - np.eye(3)).max() <= MAX_SKEW and np.linalg.det(R) > 0
+        may_be = np.abs(R).max() <= 1.0 + MAX_SKEW  # products of larger numbers may overflow
+        is_rotation = may_be and np.abs(R @ R.T - np.eye(3)).max() <= MAX_SKEW and np.linalg.det(R) > 0
         if not is_rotation or self.T_body_cam[12:] != (0, 0, 0, 1):
             raise ConfigError(
                 "T_body_cam is no rigid motion: its rotation's rows must be right-handed unit axes,"
                 " its last row 0, 0, 0, 1"
             )
-        if np.linalg.norm(T[:3, 3]) > MAX_LEVER_M:
+        if math.hypot(*T[:3, 3]) > MAX_LEVER_M:
             raise ConfigError(
                 f"T_body_cam puts the camera further than {MAX_LEVER_M:g} m from the IMU; it is in metres"
             )

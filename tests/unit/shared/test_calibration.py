@@ -50,6 +50,8 @@ EYE = tuple(np.eye(4).ravel().tolist())
         (REFERENCE_CAMERA, {"T_body_cam": (*EYE[:12], 9.0, 9.0, 9.0, 9.0)}, "no rigid motion"),
         (REFERENCE_CAMERA, {"T_body_cam": tuple(2.0 * value for value in EYE)}, "no rigid motion"),
         (REFERENCE_CAMERA, {"T_body_cam": (-1.0, *EYE[1:])}, "no rigid motion"),
+        (REFERENCE_CAMERA, {"T_body_cam": (1e300, *EYE[1:])}, "no rigid motion"),
+        (REFERENCE_CAMERA, {"T_body_cam": (*EYE[:3], 1e300, *EYE[4:])}, "further than 10 m"),
         (REFERENCE_HEAD, {"pivot_body": (0.0, 100.0, 0.0)}, "further than 10 m"),
         (REFERENCE_IMU, {"gyro_density": 1e9}, "gyro_density is 1e"),
         (REFERENCE_IMU, {"accel_walk": -1.0}, "accel_walk is -1"),
