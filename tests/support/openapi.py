@@ -77,8 +77,9 @@ def furnish(data_dir: Path) -> tuple[PlaceMap, dict[str, list[Any]]]:
     assert place_map.plan is not None
     rooms = [room.id for room in place_map.plan.rooms]
     return place_map, {
-        "navigation_id": list(drives), "navigations": drives, "first": drives, "second": drives,
+        "navigation_id": list(drives), "navigations": drives, "first": drives[:1], "second": drives,
         "map_id": [place_map.id], "id": [place_map.id], "place_id": places, "places": places,
+        "start": places[:1], "goal": places,
         "room_id": list(rooms), "rooms": rooms, "door_id": [door.id for door in place_map.plan.doors],
         "line": [DRAWN.tolist()], "robot": ["robot-1"], "keyframe": [0, 1], "job_id": ["job-0"],
         "comparison_id": [comparison_id], "name": ["trajectory.tum", "landmarks.ply"],
@@ -111,8 +112,9 @@ def _ask(operation: Any, mode: Any, known: dict[str, list[Any]], examples: int, 
 
     def ask(case: schemathesis.Case, data: st.DataObject) -> None:
         if mode is RIGHT:  # made-up names alone would only ever find nothing
-            for values in (case.path_parameters, case.body):
-                _name_what_is_there(values, known, data)
+            is_first = not asked.statuses[call]
+            for values in (case.path_parameters, case.query, case.body):
+                _name_what_is_there(values, known, data, is_first)
         answer = case.call_and_validate(checks=CHECKS, timeout=60)
         asked.statuses[call][answer.status_code] += 1
         if call in MADE and answer.status_code < 300:
@@ -137,10 +139,14 @@ def _ask(operation: Any, mode: Any, known: dict[str, list[Any]], examples: int, 
         asked.wrong.append(f"{call} ({mode.value}): {exc!s:.900}")
 
 
-def _name_what_is_there(values: object, known: dict[str, list[Any]], data: st.DataObject) -> None:
+def _name_what_is_there(values: object, known: dict[str, list[Any]], data: st.DataObject, surely: bool) -> None:
+    """Put names of what there is into a call's parameters or fields: the newest `surely`, otherwise any by chance."""
     if not isinstance(values, dict):
         return
-    for name in [name for name in values if name in known and data.draw(st.integers(0, 3))]:
-        one = st.sampled_from(known[name])
+    for name in [name for name in values if name in known and (surely or data.draw(st.integers(0, 3)))]:
         is_list = isinstance(values[name], list) and not isinstance(known[name][0], list)
-        values[name] = data.draw(st.lists(one, min_size=2, max_size=3) if is_list else one)
+        one = st.sampled_from(known[name])
+        if surely:
+            values[name] = known[name][-2:] if is_list else known[name][-1]
+        else:
+            values[name] = data.draw(st.lists(one, min_size=2, max_size=3) if is_list else one)
