@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import cv2
 import msgspec
 import numpy as np
 import pytest
@@ -11,6 +14,7 @@ from shared.calibration import REFERENCE_ROBOT
 from shared.errors import ConfigError, EstimationError
 from station.datasets import Dataset, open_dataset
 from station.experiments.trajectory_error import absolute_trajectory_error
+from station.model.frames import ImageFrame
 from station.model.navigation import Navigation, Trajectory
 from station.model.slam_update import SlamUpdate
 from station.slam.backends import make_backend
@@ -56,6 +60,26 @@ def test_real_flight_is_followed_within_twelve_millimetres_with_the_same_bits_on
 def test_a_rig_at_rest_stays_where_it_is() -> None:
     data, nav, _ = run("euroc_v1_01_static")
     assert ate(nav.trajectory, data) < 0.005
+
+
+@needs_data
+def test_what_was_followed_before_an_outage_is_kept() -> None:
+    data = open_dataset(RECORDINGS / "euroc_v1_01_flight", None, None, 1)
+    times = data.frame_times_ns
+    begin, end = times[int(0.4 * len(times))], times[int(0.7 * len(times))]
+    ok, black = cv2.imencode(".png", np.zeros((480, 752), np.uint8))
+    assert ok
+    events = (
+        replace(event, encoded=black.tobytes())
+        if isinstance(event, ImageFrame) and begin <= event.t_robot_ns < end
+        else event
+        for event in data.events()
+    )
+    nav = run_backend(make_backend("smoothing", data.calibration), events)
+    assert any("tracking lost" in message for message in nav.report.messages)
+    before = nav.trajectory.t_robot_ns < begin
+    assert before.sum() > 20
+    assert ate(Trajectory(nav.trajectory.t_robot_ns[before], nav.trajectory.T_world_body[before]), data) < 0.02
 
 
 def test_without_an_imu_another_backend_is_named() -> None:

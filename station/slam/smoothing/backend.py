@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shared.calibration import Calibration
+from shared.errors import DegenerateGeometry
 from shared.geometry import FloatArray, inverse, se3
 from station.model.frames import DriveSample, ImageArray, ImageFrame, ImuBatch
 from station.model.navigation import Navigation
@@ -63,6 +64,7 @@ class SmoothingBackend:
         self._tables: dict[int, LandmarkTable] = {}
         self._between: list[FrameBetween] = []
         self.num_recalled = 0
+        self._messages: list[str] = []
 
     # ---- data in
 
@@ -234,7 +236,7 @@ class SmoothingBackend:
     def finish(self) -> Navigation:
         """End the navigation. Raises EstimationError, with the reason, when nothing could be reconstructed."""
         nav = self._odometry.finish_improved(self._improve)
-        report = replace(nav.report, backend="smoothing")
+        report = replace(nav.report, backend="smoothing", messages=(*nav.report.messages, *self._messages))
         return replace(nav, id=nav.id.replace("ukf", "smoothing", 1), report=report)
 
     def _improve(self, memory: NavigationMemory) -> None:
@@ -242,13 +244,21 @@ class SmoothingBackend:
         wheels = WheelsKnown.before_the_drive(self._config.odometry.wheels) if self._calibration.has_wheels else None
         given = BatchInput(self._camera, self._noise, self._calibration.gravity, self._config, wheels)
         for segment, table in self._tables.items():
-            part = [k for k in self._keyframes if k.segment == segment]
+            # Of those since an outage that ended the segment no poses are kept.
+            part = [k for k in self._keyframes if k.segment == segment and self._pose_of(k, memory) is not None]
             if len(part) < 3:
                 continue
             for k in part:
                 k.tracked = table.named(k.tracked)
-            smooth_segment(part, given)
+            try:
+                smooth_segment(part, given)
+            except DegenerateGeometry as exc:
+                self._messages.append(f"piece {segment + 1} of the way stays as it was known on the way: {exc}")
             self._hand_over(part, memory, segment)
+
+    @staticmethod
+    def _pose_of(keyframe: SmoothKeyframe, memory: NavigationMemory) -> FloatArray | None:
+        return memory.poses.pose_of(keyframe.source.frame.index)
 
     def _hand_over(self, part: list[SmoothKeyframe], memory: NavigationMemory, segment: int) -> None:
         index = [k.source.frame.index for k in part]

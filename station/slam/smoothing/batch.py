@@ -9,6 +9,7 @@ import gtsam
 import numpy as np
 
 from shared.calibration import ImuNoise
+from shared.errors import DegenerateGeometry
 from shared.geometry import FloatArray, IntArray
 from station.motion.preintegration import chain
 from station.slam.mapping.inertial_graph import (
@@ -51,7 +52,11 @@ class BatchInput:
 
 
 def smooth_segment(keyframes: list[SmoothKeyframe], given: BatchInput) -> float:
-    """Give all keyframes their final poses, velocities and biases; returns the median reprojection error in px."""
+    """Give all keyframes their final poses, velocities and biases; returns the median reprojection error in px.
+
+    Raises:
+        DegenerateGeometry: the equations have no single solution.
+    """
     whole, keyframes = keyframes, thinned(keyframes, given.config.max_keyframes)
     T_before = np.array([k.T_world_body for k in keyframes])
     error_px = 0.0
@@ -233,4 +238,7 @@ def optimised(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.
     parameters.setMaxIterations(MAX_ITERATIONS)
     parameters.setRelativeErrorTol(1e-4)
     parameters.setlambdaInitial(1e-6)
-    return gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+    try:
+        return gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+    except RuntimeError as exc:  # GTSAM's own kind, for equations that are indeterminate
+        raise DegenerateGeometry("keyframes and landmarks leave the equations without a single solution") from exc
