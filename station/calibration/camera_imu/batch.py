@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import msgspec
 import numpy as np
 
-from shared.calibration import CameraCalibration, ImuNoise
 from shared.geometry import FloatArray, IntArray
 from station.calibration.camera_imu.arrowhead import (
     Elimination,
@@ -22,6 +21,7 @@ from station.calibration.camera_imu.arrowhead import (
     normal_equations,
     scores,
 )
+from station.calibration.camera_imu.priors import Known
 from station.calibration.camera_imu.rows import (
     Corners,
     Rows,
@@ -30,19 +30,15 @@ from station.calibration.camera_imu.rows import (
     inertial_rows,
     row_times,
 )
+from station.calibration.camera_imu.scatter import summed_by, widening
 from station.calibration.camera_imu.spline import ORDER, motion_through
 from station.calibration.camera_imu.start import CameraPoses, TurningMatch
 from station.calibration.camera_imu.unknowns import (
     BEND,
-    BIAS_EVERY_S,
-    BIASES,
-    DELAY,
-    GRAVITY,
     INTRINSICS,
     SCALE,
     Unknowns,
     bias_nodes,
-    intrinsics_of,
 )
 
 SAMPLES_PER_KNOT = 2.0  # of the IMU: follows all that it can see
@@ -56,10 +52,6 @@ ROUGHLY, CONVERGED = 0.3, 0.02  # sigmas: no unknown of the calibration moves mo
 ROUGH_SHARE = 5  # of the corners one is enough to come near; a tag has four, so that all places of a tag are met
 CLUSTER_S = 0.5  # residuals nearer to each other than that may be alike
 IMAGE_PARTS = 8  # in each direction, in which they may be alike as well
-# Gravity differs by 0.026 m/s^2 from pole to equator, a consumer accelerometer's scale by half a percent.
-SIGMA_GRAVITY = 0.05
-SIGMA_FIRST_BIAS = np.repeat([0.2, 1.0], 3)  # rad/s, m/s^2: more than a consumer IMU's
-SIGMA_DELAY_S = 1e-4  # rows are read within 50 ms at the slowest: keeps finite what no motion shows
 
 Progress = Callable[[str], None]
 
@@ -70,10 +62,7 @@ class Problem:
 
     corners: Corners
     samples: Samples
-    noise: ImuNoise
-    gravity: float  # m/s^2
-    told: CameraCalibration
-    sigma_intrinsics: FloatArray  # (8,) of what is told; 0: kept
+    known: Known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,13 +127,13 @@ def start_unknowns(problem: Problem, poses: CameraPoses, match: TurningMatch) ->
     biases[:, :3] = match.gyro_bias
     T_body_cam = np.eye(4)
     T_body_cam[:3, :3] = match.R_body_cam
-    told = problem.told
+    told = problem.known.camera
     camera = msgspec.structs.replace(
         told,
         T_body_cam=tuple(T_body_cam.ravel().tolist()),
         time_shift_s=match.shift_s - 0.5 * (told.height - 1) * told.line_delay_s,
     )
-    return Unknowns(motion, camera, -problem.gravity * up / np.linalg.norm(up), biases)
+    return Unknowns(motion, camera, -problem.known.gravity * up / np.linalg.norm(up), biases)
 
 
 def solve(problem: Problem, start: Unknowns, progress: Progress, free_target: bool = False) -> Solution:
@@ -232,7 +221,8 @@ def linearise(problem: Problem, unknowns: Unknowns, corners: Corners) -> tuple[l
     felt = inertial_rows(unknowns, problem.samples.between(motion.start_s, motion.end_s))
     unseen = inertial_rows(unknowns, problem.samples.interpolated(silent_times(unknowns, felt)))
     equations = normal_equations([seen, felt, unseen], motion.num_segments, unknowns.size)
-    add_priors(equations, problem, unknowns)
+    for prior in problem.known.priors(unknowns.camera, unknowns.gravity, unknowns.biases):
+        equations.add(prior)
     return [seen, felt], equations
 
 
@@ -243,31 +233,10 @@ def silent_times(unknowns: Unknowns, felt: Rows) -> FloatArray:
     return np.asarray(motion.start_s + motion.spacing_s * (silent + 0.5))
 
 
-def add_priors(equations: NormalEquations, problem: Problem, unknowns: Unknowns) -> None:
-    """The known size of gravity, the intrinsics and line delay that were told, and biases that walk slowly."""
-    size = float(np.linalg.norm(unknowns.gravity))
-    equations.add(
-        np.arange(GRAVITY.start, GRAVITY.stop),
-        np.array([(size - problem.gravity) / SIGMA_GRAVITY]),
-        unknowns.gravity[None] / (size * SIGMA_GRAVITY),
-    )
-    known = problem.sigma_intrinsics > 0
-    sigma = problem.sigma_intrinsics[known]
-    away = (intrinsics_of(unknowns.camera) - intrinsics_of(problem.told))[known]
-    equations.add(np.arange(INTRINSICS.start, INTRINSICS.stop)[known], away / sigma, np.diag(1.0 / sigma))
-    slower = unknowns.camera.line_delay_s - problem.told.line_delay_s
-    equations.add(np.array([DELAY]), np.array([slower / SIGMA_DELAY_S]), np.array([[1.0 / SIGMA_DELAY_S]]))
-    equations.add(BIASES + np.arange(6), unknowns.biases[0] / SIGMA_FIRST_BIAS, np.diag(1.0 / SIGMA_FIRST_BIAS))
-    walk = np.repeat([problem.noise.gyro_walk, problem.noise.accel_walk], 3) * np.sqrt(BIAS_EVERY_S)
-    J = np.hstack([-np.diag(1.0 / walk), np.diag(1.0 / walk)])
-    for node, step in enumerate(np.diff(unknowns.biases, axis=0)):
-        equations.add(BIASES + 6 * node + np.arange(12), step / walk, J)
-
-
 def free_columns(problem: Problem, unknowns: Unknowns, free_target: bool) -> IntArray:
     free = np.ones(unknowns.size, dtype=bool)
     free[SCALE] = free[BEND] = free_target
-    free[INTRINSICS] = problem.sigma_intrinsics > 0
+    free[INTRINSICS] = problem.known.sigma_intrinsics > 0
     return np.flatnonzero(free)
 
 
@@ -290,9 +259,7 @@ def honest_covariance(corners: Corners, blocks: list[Rows], left: Elimination, u
     """(f, f) of the free columns: from independent noise, or from the residuals' own scatter where that is more.
 
     Residuals are alike within CLUSTER_S (blur, vibration), at one corner of the target (print, lighting) and in one
-    part of the image (the lens model). So their gradients are summed over each of these in turn, and the scatter of the
-    sums is carried through the estimate.
-    Source: Liang and Zeger, Biometrika 73(1), 1986 (the "sandwich").
+    part of the image (the lens model).
     """
     independent = np.linalg.inv(left.information)
     seen, felt = (scores(block, left, unknowns.size) for block in blocks)
@@ -300,12 +267,11 @@ def honest_covariance(corners: Corners, blocks: list[Rows], left: Elimination, u
     camera = unknowns.camera
     column, row = (corners.uv_px * IMAGE_PARTS / [camera.width, camera.height]).astype(np.int64).T
     alike = [
-        _sums(np.concatenate([seen, felt]), np.concatenate(times)),
-        _sums(seen, corners.ids),
-        _sums(seen, np.maximum(row, 0) * IMAGE_PARTS + np.clip(column, 0, IMAGE_PARTS - 1)),
+        summed_by(np.concatenate([seen, felt]), np.concatenate(times)),
+        summed_by(seen, corners.ids),
+        summed_by(seen, np.maximum(row, 0) * IMAGE_PARTS + np.clip(column, 0, IMAGE_PARTS - 1)),
     ]
-    scatter = [np.diag(independent @ (g.T @ g) @ independent) for g in alike]
-    larger = np.sqrt(np.maximum(np.max(scatter, axis=0) / np.diag(independent), 1.0))
+    larger = widening(independent, [gradients @ independent for gradients in alike])
     return np.asarray(larger[:, None] * independent * larger)
 
 
@@ -314,10 +280,3 @@ def clusters_in_time(blocks: list[Rows], unknowns: Unknowns) -> list[IntArray]:
     per_cluster = max(1, round(CLUSTER_S / unknowns.motion.spacing_s))
     last = max(1, unknowns.motion.num_segments // per_cluster) - 1
     return [np.minimum(block.segment // per_cluster, last) for block in blocks]
-
-
-def _sums(values: FloatArray, labels: IntArray) -> FloatArray:
-    """(labels, f) of values (N, f)."""
-    out = np.zeros((int(labels.max()) + 1, values.shape[1]))
-    np.add.at(out, labels, values)
-    return out

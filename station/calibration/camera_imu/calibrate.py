@@ -19,6 +19,7 @@ from station.calibration.camera_imu.batch import (
     start_unknowns,
     target_shape,
 )
+from station.calibration.camera_imu.priors import Known
 from station.calibration.camera_imu.rows import Corners, Samples
 from station.calibration.camera_imu.start import (
     MAX_SHIFT_S,
@@ -143,10 +144,7 @@ def _problem(recording: HandheldRecording, poses: CameraPoses, samples: Samples,
     return Problem(
         corners=Corners.of(poses.views, recording.target, origin_ns, START_SIGMA_PX),
         samples=samples,
-        noise=recording.noise,
-        gravity=recording.gravity,
-        told=recording.camera,
-        sigma_intrinsics=recording.sigma_intrinsics,
+        known=Known(recording.camera, recording.sigma_intrinsics, recording.gravity, recording.noise),
     )
 
 
