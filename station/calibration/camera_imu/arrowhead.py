@@ -30,7 +30,18 @@ class NormalEquations:
     g_knots: FloatArray  # (n,)
     g_border: FloatArray  # (b,)
 
-    def add(self, prior: Prior) -> None:
+    def add(self, other: NormalEquations) -> None:
+        """Of other measurements of the same unknowns."""
+        for mine, theirs in (
+            (self.band, other.band),
+            (self.cross, other.cross),
+            (self.border, other.border),
+            (self.g_knots, other.g_knots),
+            (self.g_border, other.g_border),
+        ):
+            mine += theirs
+
+    def add_prior(self, prior: Prior) -> None:
         self.border[np.ix_(prior.columns, prior.columns)] += prior.J.T @ prior.J
         self.g_border[prior.columns] += prior.J.T @ prior.residual
 

@@ -8,6 +8,7 @@ Source: Furgale, Rehder and Siegwart, IROS 2013; rolling shutter: Oth et al., CV
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import msgspec
@@ -28,6 +29,7 @@ from station.calibration.camera_imu.rows import (
     Samples,
     camera_rows,
     inertial_rows,
+    joined,
     row_times,
 )
 from station.calibration.camera_imu.scatter import summed_by, widening
@@ -48,6 +50,7 @@ HUBER = 3.0  # sigmas of a corner: beyond, it counts less
 OUTLIER = 5.0  # sigmas of a corner: farther off, it is left out
 DAMPING = 1e-9
 MAX_ITERATIONS = 25
+CORES = 2  # the corners are shared out among so many
 ROUGHLY, CONVERGED = 0.3, 0.02  # sigmas: no unknown of the calibration moves more
 ROUGH_SHARE = 5  # of the corners one is enough to come near; a tag has four, so that all places of a tag are met
 CLUSTER_S = 0.5  # residuals nearer to each other than that may be alike
@@ -214,16 +217,26 @@ def within(corners: Corners, unknowns: Unknowns) -> Corners:
 
 def linearise(problem: Problem, unknowns: Unknowns, corners: Corners) -> tuple[list[Rows], NormalEquations]:
     """Corners and inertial samples, weighted, and what they and the priors say together."""
-    seen = camera_rows(unknowns, corners)
-    size = np.linalg.norm(seen.residual, axis=1)
-    seen = seen.weighted(np.minimum(1.0, HUBER / np.maximum(size, 1e-9)))
     motion = unknowns.motion
-    felt = inertial_rows(unknowns, problem.samples.between(motion.start_s, motion.end_s))
-    unseen = inertial_rows(unknowns, problem.samples.interpolated(silent_times(unknowns, felt)))
-    equations = normal_equations([seen, felt, unseen], motion.num_segments, unknowns.size)
+    own = np.array_split(np.arange(len(corners.ids)), CORES)
+
+    def see(part: int) -> tuple[Rows, NormalEquations]:
+        rows = camera_rows(unknowns, corners.chosen(own[part]))
+        size = np.linalg.norm(rows.residual, axis=1)
+        rows = rows.weighted(np.minimum(1.0, HUBER / np.maximum(size, 1e-9)))
+        return rows, normal_equations([rows], motion.num_segments, unknowns.size)
+
+    with ThreadPoolExecutor(CORES) as pool:  # NumPy computes outside Python's lock
+        seeing = pool.map(see, range(CORES))
+        felt = inertial_rows(unknowns, problem.samples.between(motion.start_s, motion.end_s))
+        unseen = inertial_rows(unknowns, problem.samples.interpolated(silent_times(unknowns, felt)))
+        equations = normal_equations([felt, unseen], motion.num_segments, unknowns.size)
+        parts, of_parts = zip(*seeing, strict=True)
+    for part in of_parts:
+        equations.add(part)
     for prior in problem.known.priors(unknowns.camera, unknowns.gravity, unknowns.biases):
-        equations.add(prior)
-    return [seen, felt], equations
+        equations.add_prior(prior)
+    return [joined(parts), felt], equations
 
 
 def silent_times(unknowns: Unknowns, felt: Rows) -> FloatArray:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from shared.calibration import CameraCalibration, ImuNoise
 from shared.errors import DegenerateGeometry
@@ -133,7 +134,8 @@ def calibrate_camera_imu(recording: HandheldRecording, progress: Progress) -> Ca
         if reasons:
             return CameraImuCalibration(reasons, None, notes)
         problem = _problem(recording, poses, samples, origin_ns)
-        reasons, solution = _estimate(recording, problem, poses, match, progress)
+        with threadpool_limits(1):  # thousands of small products: BLAS takes twice the time to share each of them out
+            reasons, solution = _estimate(recording, problem, poses, match, progress)
         return CameraImuCalibration(reasons, solution, notes)
     except DegenerateGeometry as exc:
         reasons = [f"{exc}: record 30 to 60 s with the target in view, turning about all axes"]

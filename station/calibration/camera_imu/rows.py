@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -88,8 +89,8 @@ class Corners:
             sigma_px=sigma_px,
         )
 
-    def chosen(self, which: BoolArray) -> Corners:
-        """Those of which `which` (M,) is true."""
+    def chosen(self, which: BoolArray | IntArray) -> Corners:
+        """Those of which `which` (M,) is true, or whose rows it names."""
         return Corners(
             self.ids[which], self.t_s[which], self.uv_px[which], self.board[which], self.bend[which], self.sigma_px
         )
@@ -115,6 +116,15 @@ class Rows:
             self.by_border * root[:, None, None],
             self.columns,
         )
+
+
+def joined(parts: Sequence[Rows]) -> Rows:
+    """Measurements of the same columns, one after the other."""
+    segment, residual, by_knots, by_border = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("segment", "residual", "by_knots", "by_border")
+    )
+    return Rows(segment, residual, by_knots, by_border, parts[0].columns)
 
 
 def inertial_rows(unknowns: Unknowns, samples: Samples) -> Rows:

@@ -16,8 +16,10 @@ from shared.geometry import FloatArray, IntArray
 
 def summed_by(values: FloatArray, labels: IntArray) -> FloatArray:
     """(labels, f) of values (N, f)."""
-    out = np.zeros((int(labels.max()) + 1, values.shape[1]))
-    np.add.at(out, labels, values)
+    order = np.argsort(labels, kind="stable")
+    found, begin = np.unique(labels[order], return_index=True)
+    out = np.zeros((int(found[-1]) + 1, values.shape[1]))
+    out[found] = np.add.reduceat(values[order], begin)
     return out
 
 

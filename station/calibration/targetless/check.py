@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 import msgspec
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from shared.calibration import CameraCalibration, ImuNoise
 from shared.errors import DegenerateGeometry
@@ -170,11 +171,12 @@ def check_calibration(recording: LivelyRecording, progress: Progress) -> Calibra
         seen = seen.chosen(agreeing)
         start = begin(told, seen, match, inertial, recording.gravity)
         problem = Problem(seen, inertial, Known(told, np.zeros(8), recording.gravity, recording.noise))
-        solution = solve(problem, start, progress.step)
-        found = verdict.quantities(solution, told, match)
-        if any(q.key == "focal_length" and q.is_observable and not q.fits for q in found):
-            solution = with_focal_length(solution, progress.step)
+        with threadpool_limits(1):  # as in camera_imu/calibrate.py
+            solution = solve(problem, start, progress.step)
             found = verdict.quantities(solution, told, match)
+            if any(q.key == "focal_length" and q.is_observable and not q.fits for q in found):
+                solution = with_focal_length(solution, progress.step)
+                found = verdict.quantities(solution, told, match)
     except DegenerateGeometry as exc:
         return CalibrationCheck(told, [f"{exc}: {verdict.WAVE}"], None, [])
     reasons = verdict.poor_fit(solution, match)
