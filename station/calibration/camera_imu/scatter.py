@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import special
 
 from shared.geometry import FloatArray, IntArray
 
@@ -23,6 +24,12 @@ def summed_by(values: FloatArray, labels: IntArray) -> FloatArray:
     return out
 
 
+def few_know_little(count: int) -> float:
+    """By how much a scatter of so few is to be widened: Student's distribution at three sigmas, and the lost mean."""
+    dof = max(count - 1, 1)
+    return float(special.stdtrit(dof, special.ndtr(3.0)) / 3.0 * np.sqrt(count / dof))
+
+
 def widening(independent: FloatArray, alike: Sequence[FloatArray]) -> FloatArray:
     """(f,) by how much larger than independent noise says the standard deviations are; at least 1.
 
@@ -31,7 +38,7 @@ def widening(independent: FloatArray, alike: Sequence[FloatArray]) -> FloatArray
         alike: (clusters, f) of each way to gather: what every cluster contributes to the estimate.
     """
     variance = np.diag(independent)
-    scatter = np.max([(sums**2).sum(axis=0) for sums in alike], axis=0)
+    scatter = np.max([few_know_little(len(sums)) ** 2 * (sums**2).sum(axis=0) for sums in alike], axis=0)
     ratio = np.ones_like(variance)
     np.divide(scatter, variance, out=ratio, where=variance > 0)
     return np.sqrt(np.maximum(ratio, 1.0))

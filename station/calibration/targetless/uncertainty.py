@@ -12,9 +12,6 @@ from station.calibration.targetless.adjustment import Linearised, Problem, assem
 from station.calibration.targetless.unknowns import STATE, Estimate
 
 CLUSTER_S = 0.5
-# Tracks drift with the picture around them, which neither moment nor corner gathers: of 12 rendered recordings the
-# errors were about twice what is claimed without this (docs/calibration.md).
-TRACK_DRIFT = 2.0
 # What stays however long the recording: row times within a picture, clocks, an IMU's axes (as with a target).
 FLOOR_ROTATION, FLOOR_POSITION_M, FLOOR_SHIFT_S, FLOOR_DELAY_S = np.radians(0.05), 2e-3, 1e-4, 3e-7
 
@@ -58,7 +55,7 @@ def noise_of(problem: Problem, now: Estimate, at: Linearised) -> tuple[float, Fl
 def honest_covariance(problem: Problem, now: Estimate, at: Linearised) -> FloatArray:
     """(border, border): from independent noise, or from the residuals' own scatter where that is more.
 
-    Residuals are alike within CLUSTER_S and along the track of one corner, which drifts.
+    Residuals are alike within CLUSTER_S and of one corner.
     """
     num_states = STATE * len(now.t_s)
     system = assembled(problem, now, at, 0.0)
@@ -100,7 +97,7 @@ def honest_covariance(problem: Problem, now: Estimate, at: Linearised) -> FloatA
         summed_by(np.concatenate([from_seen, from_felt]), np.concatenate([in_time[seen.image], in_time[:-1]])),
         np.concatenate([summed_by(from_seen, seen.corner), from_felt]),
     ]
-    larger = TRACK_DRIFT * widening(independent, alike)
+    larger = widening(independent, alike)
     found = larger[:, None] * independent * larger
     floor = np.zeros(now.border)
     floor[MOUNT_ROTATION], floor[MOUNT_POSITION] = FLOOR_ROTATION, FLOOR_POSITION_M
