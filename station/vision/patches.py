@@ -105,9 +105,8 @@ def _inverse(A: FloatArray) -> FloatArray:
     """(N, 2, 2); of a step that turns inside out, none."""
     det = A[:, 0, 0] * A[:, 1, 1] - A[:, 0, 1] * A[:, 1, 0]
     adjugate = np.stack([A[:, 1, 1], -A[:, 0, 1], -A[:, 1, 0], A[:, 0, 0]], axis=1).reshape(-1, 2, 2)
-    return np.where(
-        np.abs(det)[:, None, None] > 0.1, adjugate / np.where(np.abs(det) > 0.1, det, 1.0)[:, None, None], np.eye(2)
-    )
+    usable, det = (np.abs(det) > 0.1)[:, None, None], det[:, None, None]
+    return np.where(usable, adjugate / np.where(usable, det, 1.0), np.eye(2))
 
 
 class Anchors:
