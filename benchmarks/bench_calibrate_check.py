@@ -148,7 +148,7 @@ def main() -> None:
     run = Run.begin()
     work = work_folder() / "calibration-check"
     work.mkdir(parents=True, exist_ok=True)
-    rows = []
+    rows: list[dict[str, Any]] = []
     for kind, path in recordings(work, parse_seeds(options.seeds)):
         for _ in range(KNOCKS if kind == REAL else 1):
             rows.append(checked(kind, path, knock=len(rows)))

@@ -62,7 +62,8 @@ class Patches:
         normal = steepest @ np.swapaxes(steepest, 1, 2)
         normal[:, range(6), range(6)] *= 1.0 + 1e-6
         normal[:, range(6), range(6)] += 1e-12
-        return cls(ids, picture, np.linalg.solve(normal, steepest), bend)
+        by_pixel = np.asarray(np.linalg.solve(normal, steepest), dtype=np.float64)
+        return cls(ids, picture, by_pixel, bend)
 
     def found(self, smooth: SmoothArray, start_px: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Where they lie (N, 2) near a start, how they are bent (N, 2, 2), and which of them are found again."""

@@ -274,7 +274,7 @@ def honest_covariance(corners: Corners, blocks: list[Rows], left: Elimination, u
     Residuals are alike within CLUSTER_S (blur, vibration), at one corner of the target (print, lighting) and in one
     part of the image (the lens model).
     """
-    independent = np.linalg.inv(left.information)
+    independent: FloatArray = np.asarray(np.linalg.inv(left.information), dtype=np.float64)
     seen, felt = (scores(block, left, unknowns.size) for block in blocks)
     times = clusters_in_time(blocks, unknowns)
     camera = unknowns.camera
