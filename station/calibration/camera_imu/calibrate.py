@@ -156,7 +156,7 @@ def _estimate(
     """The batch estimate, and whether the target and the measurements are as they should be."""
     solution = solve(problem, start_unknowns(problem, poses, match), progress)
     shape = target_shape(solution)
-    if verdict.poor_target(shape, recording.target):  # far off one step does not tell by how much
+    if verdict.is_another(shape):  # one step from a wrong target tells neither by how much nor how surely
         shape = target_shape(solve(problem, solution.unknowns, progress, free_target=True))
     # A target or a lens that is not as its file says explains what does not fit.
     reasons = (

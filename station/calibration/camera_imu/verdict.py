@@ -142,6 +142,11 @@ def known_to(solution: Solution) -> dict[str, float]:
     }
 
 
+def is_another(shape: TargetShape) -> bool:
+    """Whether a target seems not to be as its file says, surely or not."""
+    return abs(shape.scale - 1.0) > MAX_SCALE_ERROR or bool((np.abs(shape.bend_m) > MAX_BEND_M).any())
+
+
 def poor_target(shape: TargetShape, target: Target) -> list[str]:
     """Reasons against a target that is not as its file says: the accelerometer knows metres."""
     reasons = []

@@ -117,8 +117,7 @@ def poor_turning(match: TurningMatch) -> list[str]:
 def poor_fit(solution: Solution, match: TurningMatch) -> list[str]:
     """Reasons against an estimate that does not explain the measurements."""
     if not solution.has_converged:
-        why = f": {one_axis}" if (one_axis := _one_axis(match)) else ""
-        return [f"the estimate did not settle{why}; {WAVE}"]
+        return [f"the estimate did not settle: {_one_axis(match) or WAVE}"]
     reasons = []
     if solution.left_out > MAX_LEFT_OUT or solution.rms_px > MAX_PX:
         reasons.append(
