@@ -92,6 +92,7 @@ def summary(rows: list[dict[str, Any]]) -> list[Figure]:
         title = f"random walk within 20 % after 20 minutes: {', '.join(mixes)}"
         figures.append(share(title, near, len(walks), at_least=100))
         figures.append(Figure(f"random walk after 20 minutes, largest error: {', '.join(mixes)}", worst(walks), "%"))
+        figures += _told(walks, ", ".join(mixes))
     for minutes in MINUTES:
         found = [row for row in measured if row["minutes"] == minutes]
         inside = sum(row["within_interval"] for row in found)
@@ -106,6 +107,19 @@ def summary(rows: list[dict[str, Any]]) -> list[Figure]:
     slowest = max((row["seconds"] for row in recordings.values()), default=None)
     figures.append(Figure("longest computation, 20 minutes at 100 Hz", slowest, "s"))
     return figures
+
+
+def _told(walks: list[dict[str, Any]], mixes: str) -> list[Figure]:
+    """Of what a recording claims to know, and of what it says to be hidden by flicker."""
+    told, hidden = ([row for row in walks if row["known"] == known] for known in (True, False))
+    near = sum(abs(row["error"]) <= 0.2 for row in told)
+    inside = sum(row["within_interval"] for row in hidden)
+    return [
+        share(f"random walk after 20 minutes told: {mixes}", len(told), len(walks)),
+        share(f"random walk after 20 minutes told, within 20 %: {mixes}", near, len(told), at_least=100),
+        share(f"random walk after 20 minutes not told, true value within the interval: {mixes}", inside, len(hidden),
+              at_least=95),
+    ]  # fmt: skip
 
 
 def main() -> int:

@@ -112,9 +112,10 @@ class Connections:
 class HttpProtocol(HttpToolsProtocol):
     """Uvicorn's own, which tells its connection what happens to it."""
 
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        connection_of(self.app_state).made(transport)
-        super().connection_made(transport)
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        stream = cast(asyncio.Transport, transport)  # of TCP
+        connection_of(self.app_state).made(stream)
+        super().connection_made(stream)
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)

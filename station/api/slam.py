@@ -26,17 +26,22 @@ async def pose(robot: RobotDep) -> SlamModel:
     return slam_model(robot)
 
 
-@of_robot.get("/trajectory", summary="The way so far", responses={200: {"content": {"text/plain": {}}}})
+@of_robot.get(
+    "/trajectory",
+    summary="The way so far",
+    response_model=TrajectoryModel,
+    responses={200: {"content": {"text/plain": {}}}},
+)
 async def trajectory(
     robot: RobotDep,
     limit: Annotated[int, Query(ge=2, le=20_000, description="thinned out evenly to this many")] = 2000,
     format: Annotated[Literal["json", "tum"], Query()] = "json",
-) -> TrajectoryModel:
+) -> TrajectoryModel | Response:
     live = robot.current_navigation.live
     way = (LivePath(1) if live is None else live.path).trajectory()
     if format == "tum":
         text = await asyncio.to_thread(format_tum, way)
-        return Response(text, media_type="text/plain")  # type: ignore[return-value]
+        return Response(text, media_type="text/plain")
     chosen: list[int] = (
         np.unique(np.linspace(0, len(way) - 1, min(limit, len(way))).round().astype(int)).tolist() if len(way) else []
     )

@@ -12,12 +12,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
+import msgspec
 import typer
 
 from shared.advice import install, python
 from shared.errors import RobotSystemError
 from shared.listening import bind
 from station.config import DEFAULT_DATA_DIR, ApiConfig
+from station.files.navigation_folder import REPORT
+from station.model.calibration_fit import FITS, UNKNOWN, FitVerdict
 from station.web import build_hook
 
 # module → what it is for, how to get it, whether the station does without it
@@ -63,7 +66,7 @@ def doctor(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
     """Say what is missing on this machine, and how to get it. Exit code 1 when the station cannot work without it."""
-    findings = [*libraries(), page(), free_port(host, port), disk(data)]
+    findings = [*libraries(), page(), free_port(host, port), disk(data), calibration(data)]
     works = all(f.works or f.is_optional for f in findings)
     if as_json:
         print(json.dumps({"works": works, "findings": [asdict(f) for f in findings]}))
@@ -111,3 +114,28 @@ def disk(data: Path) -> Finding:
         remedy = f"recordings want {WANTED_GB:.0f}; make room, or give another folder with --data"
         return Finding("disk", False, f"{free_gb:.1f} GB are free for {data}, {remedy}")
     return Finding("disk", True, f"{free_gb:.0f} GB are free for {data}")
+
+
+class _Fit(msgspec.Struct):
+    verdict: FitVerdict
+    sentence: str
+
+
+class _Report(msgspec.Struct):
+    """Of navigation.json, as much as is asked."""
+
+    calibration_fit: _Fit | None = None
+
+
+def calibration(data: Path) -> Finding:
+    """What the newest navigation that can tell says of the robot's calibration."""
+    reports = sorted(data.glob(f"navigations/*/navigation/{REPORT}"), key=lambda path: path.stat().st_mtime)
+    for path in reversed(reports):
+        try:
+            fit = msgspec.json.decode(path.read_bytes(), type=_Report).calibration_fit
+        except (OSError, msgspec.DecodeError):
+            continue  # half a navigation
+        if fit is not None and fit.verdict != UNKNOWN:
+            sentence = f"as navigation {path.parents[1].name} has it, {fit.sentence}"
+            return Finding("calibration", fit.verdict == FITS, sentence, is_optional=True)
+    return Finding("calibration", True, "no navigation says anything against it")

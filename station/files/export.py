@@ -82,7 +82,7 @@ def export_mcap(nav: Navigation, path: Path) -> None:
             put("/navigation/keyframe", t_ns, {"format": image_format, "data": base64.b64encode(encoded).decode()})
         if len(nav.trajectory):
             put("/navigation/landmarks", int(nav.trajectory.t_robot_ns[0]), _cloud(nav))
-        writer.finish()  # type: ignore[no-untyped-call]  # mcap leaves it untyped
+        writer.finish()
 
 
 def _poses(trajectory: Trajectory) -> list[tuple[int, FloatArray]]:

@@ -14,6 +14,11 @@ FITS: Final = "fits"
 MISFITS: Final = "does not fit"
 UNKNOWN: Final = "not known yet"
 
+REMEDY: Final = (
+    "calibrate the camera, or carry the robot about by hand while half a minute is recorded, and let"
+    " `station calibrate check RECORDING.mcap --out calibration.yaml` say what is off"
+)
+
 # 2 % of focal length, 1 degree and 5 ms are borne: answers stay right. 3 % gives wrong ones. So half way between those,
 # less the tenth by which a focal length that is told too long is underestimated, since the tracker keeps what fits what
 # it was told (docs/robot.md). Of the other two, the double: nothing wrong was seen there.
@@ -94,9 +99,7 @@ def judge(
     fit = CalibrationFit(*focal, turned, turned_sigma, *shift_s, verdict=UNKNOWN, sentence="")
     excesses = _excesses(fit)
     if misfits := [excess.what for excess in excesses if excess.is_known]:
-        return replace(
-            fit, verdict=MISFITS, sentence=f"the calibration does not fit: {', '.join(misfits)}; calibrate the camera"
-        )
+        return replace(fit, verdict=MISFITS, sentence=f"the calibration does not fit: {', '.join(misfits)}; {REMEDY}")
     if not excesses and _is_focal_known(fit):
         said = f"what the drive says of the focal length is {abs(_focal_error(fit)):.1%} from it"
         return replace(fit, verdict=FITS, sentence=f"the calibration fits: {said}")

@@ -9,6 +9,8 @@ from shared.geometry import FloatArray, IntArray
 from station.model.floor_plan import FloorPlan, NameSuggestion, PlanEdits
 from station.model.navigation import Navigation
 
+EdgeKind = Literal["seen together", "driven between", "nearest"]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Place:
@@ -33,7 +35,7 @@ class PlaceEdge:
     b: str
     bearing_rad: float  # direction a -> b in the map's ground plane, from +x towards +y
     distance: float  # between centroids, map units
-    kind: Literal["seen together", "driven between", "nearest"]
+    kind: EdgeKind
 
 
 @dataclass(frozen=True, slots=True, eq=False)

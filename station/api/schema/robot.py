@@ -7,7 +7,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from station.api.schema.base import Model, Number, Question
-from station.model.calibration_fit import CalibrationFit
+from station.model.calibration_fit import REMEDY, CalibrationFit
 from station.robots.session import RobotSession
 
 
@@ -69,7 +69,7 @@ class CalibrationFitModel(Model):
     verdict: Literal["fits", "does not fit", "not known yet"]
     sentence: str = Field(
         description="for a person",
-        examples=["the calibration does not fit: the focal length seems 3.1% too long; calibrate the camera"],
+        examples=[f"the calibration does not fit: the focal length seems 3.1% too long; {REMEDY}"],
     )
     focal_scale: float = Field(description="the focal length that the data want, over the told one")
     focal_sigma: float

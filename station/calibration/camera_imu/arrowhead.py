@@ -13,6 +13,7 @@ from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_bande
 
 from shared.errors import DegenerateGeometry
 from shared.geometry import FloatArray, IntArray
+from station.calibration.camera_imu.priors import Prior
 from station.calibration.camera_imu.rows import KNOT, Rows
 from station.calibration.camera_imu.spline import ORDER
 
@@ -29,10 +30,20 @@ class NormalEquations:
     g_knots: FloatArray  # (n,)
     g_border: FloatArray  # (b,)
 
-    def add(self, columns: IntArray, residual: FloatArray, J: FloatArray) -> None:
-        """What is known of the border beforehand: whitened residual (m,) and its derivative (m, c) by c columns."""
-        self.border[np.ix_(columns, columns)] += J.T @ J
-        self.g_border[columns] += J.T @ residual
+    def add(self, other: NormalEquations) -> None:
+        """Of other measurements of the same unknowns."""
+        for mine, theirs in (
+            (self.band, other.band),
+            (self.cross, other.cross),
+            (self.border, other.border),
+            (self.g_knots, other.g_knots),
+            (self.g_border, other.g_border),
+        ):
+            mine += theirs
+
+    def add_prior(self, prior: Prior) -> None:
+        self.border[np.ix_(prior.columns, prior.columns)] += prior.J.T @ prior.J
+        self.g_border[prior.columns] += prior.J.T @ prior.residual
 
 
 def normal_equations(blocks: Sequence[Rows], num_segments: int, border_size: int) -> NormalEquations:
@@ -44,19 +55,19 @@ def normal_equations(blocks: Sequence[Rows], num_segments: int, border_size: int
     for block in blocks:
         order = np.argsort(block.segment, kind="stable")
         bounds = np.searchsorted(block.segment[order], np.arange(num_segments + 1))
-        m, c = block.residual.shape[1], block.by_border.shape[2]
-        by_knots = block.by_knots[order].reshape(-1, WIDTH)
-        by_border = block.by_border[order].reshape(-1, c)
-        residual = block.residual[order].ravel()
+        m = block.residual.shape[1]
+        A = np.concatenate([block.by_knots, block.by_border, block.residual[..., None]], axis=2)[order]
+        A = A.reshape(-1, A.shape[2])
         for segment in np.flatnonzero(np.diff(bounds)):
-            rows = slice(m * bounds[segment], m * bounds[segment + 1])
+            rows = A[m * bounds[segment] : m * bounds[segment + 1]]
             at = slice(KNOT * segment, KNOT * segment + WIDTH)
-            J = by_knots[rows]
-            own[segment] += J.T @ J
-            cross[at, block.columns] += J.T @ by_border[rows]
-            g_knots[at] += J.T @ residual[rows]
-        border[np.ix_(block.columns, block.columns)] += by_border.T @ by_border
-        g_border[block.columns] += by_border.T @ residual
+            product = rows[:, :WIDTH].T @ rows
+            own[segment] += product[:, :WIDTH]
+            cross[at, block.columns] += product[:, WIDTH:-1]
+            g_knots[at] += product[:, -1]
+        product = A[:, WIDTH:-1].T @ A[:, WIDTH:]
+        border[np.ix_(block.columns, block.columns)] += product[:, :-1]
+        g_border[block.columns] += product[:, -1]
     band = np.zeros((WIDTH, n))
     reach = KNOT * num_segments
     for i in range(WIDTH):

@@ -8,12 +8,12 @@ Source: Furgale, Rehder and Siegwart, IROS 2013; rolling shutter: Oth et al., CV
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
 
-from shared.calibration import CameraCalibration, ImuNoise
 from shared.geometry import FloatArray, IntArray
 from station.calibration.camera_imu.arrowhead import (
     Elimination,
@@ -22,27 +22,25 @@ from station.calibration.camera_imu.arrowhead import (
     normal_equations,
     scores,
 )
+from station.calibration.camera_imu.priors import Known
 from station.calibration.camera_imu.rows import (
     Corners,
     Rows,
     Samples,
     camera_rows,
     inertial_rows,
+    joined,
     row_times,
 )
+from station.calibration.camera_imu.scatter import summed_by, widening
 from station.calibration.camera_imu.spline import ORDER, motion_through
 from station.calibration.camera_imu.start import CameraPoses, TurningMatch
 from station.calibration.camera_imu.unknowns import (
     BEND,
-    BIAS_EVERY_S,
-    BIASES,
-    DELAY,
-    GRAVITY,
     INTRINSICS,
     SCALE,
     Unknowns,
     bias_nodes,
-    intrinsics_of,
 )
 
 SAMPLES_PER_KNOT = 2.0  # of the IMU: follows all that it can see
@@ -52,14 +50,11 @@ HUBER = 3.0  # sigmas of a corner: beyond, it counts less
 OUTLIER = 5.0  # sigmas of a corner: farther off, it is left out
 DAMPING = 1e-9
 MAX_ITERATIONS = 25
+CORES = 2  # the corners are shared out among so many
 ROUGHLY, CONVERGED = 0.3, 0.02  # sigmas: no unknown of the calibration moves more
 ROUGH_SHARE = 5  # of the corners one is enough to come near; a tag has four, so that all places of a tag are met
 CLUSTER_S = 0.5  # residuals nearer to each other than that may be alike
 IMAGE_PARTS = 8  # in each direction, in which they may be alike as well
-# Gravity differs by 0.026 m/s^2 from pole to equator, a consumer accelerometer's scale by half a percent.
-SIGMA_GRAVITY = 0.05
-SIGMA_FIRST_BIAS = np.repeat([0.2, 1.0], 3)  # rad/s, m/s^2: more than a consumer IMU's
-SIGMA_DELAY_S = 1e-4  # rows are read within 50 ms at the slowest: keeps finite what no motion shows
 
 Progress = Callable[[str], None]
 
@@ -70,10 +65,7 @@ class Problem:
 
     corners: Corners
     samples: Samples
-    noise: ImuNoise
-    gravity: float  # m/s^2
-    told: CameraCalibration
-    sigma_intrinsics: FloatArray  # (8,) of what is told; 0: kept
+    known: Known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,13 +130,13 @@ def start_unknowns(problem: Problem, poses: CameraPoses, match: TurningMatch) ->
     biases[:, :3] = match.gyro_bias
     T_body_cam = np.eye(4)
     T_body_cam[:3, :3] = match.R_body_cam
-    told = problem.told
+    told = problem.known.camera
     camera = msgspec.structs.replace(
         told,
         T_body_cam=tuple(T_body_cam.ravel().tolist()),
         time_shift_s=match.shift_s - 0.5 * (told.height - 1) * told.line_delay_s,
     )
-    return Unknowns(motion, camera, -problem.gravity * up / np.linalg.norm(up), biases)
+    return Unknowns(motion, camera, -problem.known.gravity * up / np.linalg.norm(up), biases)
 
 
 def solve(problem: Problem, start: Unknowns, progress: Progress, free_target: bool = False) -> Solution:
@@ -225,15 +217,26 @@ def within(corners: Corners, unknowns: Unknowns) -> Corners:
 
 def linearise(problem: Problem, unknowns: Unknowns, corners: Corners) -> tuple[list[Rows], NormalEquations]:
     """Corners and inertial samples, weighted, and what they and the priors say together."""
-    seen = camera_rows(unknowns, corners)
-    size = np.linalg.norm(seen.residual, axis=1)
-    seen = seen.weighted(np.minimum(1.0, HUBER / np.maximum(size, 1e-9)))
     motion = unknowns.motion
-    felt = inertial_rows(unknowns, problem.samples.between(motion.start_s, motion.end_s))
-    unseen = inertial_rows(unknowns, problem.samples.interpolated(silent_times(unknowns, felt)))
-    equations = normal_equations([seen, felt, unseen], motion.num_segments, unknowns.size)
-    add_priors(equations, problem, unknowns)
-    return [seen, felt], equations
+    own = np.array_split(np.arange(len(corners.ids)), CORES)
+
+    def see(part: int) -> tuple[Rows, NormalEquations]:
+        rows = camera_rows(unknowns, corners.chosen(own[part]))
+        size = np.linalg.norm(rows.residual, axis=1)
+        rows = rows.weighted(np.minimum(1.0, HUBER / np.maximum(size, 1e-9)))
+        return rows, normal_equations([rows], motion.num_segments, unknowns.size)
+
+    with ThreadPoolExecutor(CORES) as pool:  # NumPy computes outside Python's lock
+        seeing = pool.map(see, range(CORES))
+        felt = inertial_rows(unknowns, problem.samples.between(motion.start_s, motion.end_s))
+        unseen = inertial_rows(unknowns, problem.samples.interpolated(silent_times(unknowns, felt)))
+        equations = normal_equations([felt, unseen], motion.num_segments, unknowns.size)
+        parts, of_parts = zip(*seeing, strict=True)
+    for part in of_parts:
+        equations.add(part)
+    for prior in problem.known.priors(unknowns.camera, unknowns.gravity, unknowns.biases):
+        equations.add_prior(prior)
+    return [joined(parts), felt], equations
 
 
 def silent_times(unknowns: Unknowns, felt: Rows) -> FloatArray:
@@ -243,31 +246,10 @@ def silent_times(unknowns: Unknowns, felt: Rows) -> FloatArray:
     return np.asarray(motion.start_s + motion.spacing_s * (silent + 0.5))
 
 
-def add_priors(equations: NormalEquations, problem: Problem, unknowns: Unknowns) -> None:
-    """The known size of gravity, the intrinsics and line delay that were told, and biases that walk slowly."""
-    size = float(np.linalg.norm(unknowns.gravity))
-    equations.add(
-        np.arange(GRAVITY.start, GRAVITY.stop),
-        np.array([(size - problem.gravity) / SIGMA_GRAVITY]),
-        unknowns.gravity[None] / (size * SIGMA_GRAVITY),
-    )
-    known = problem.sigma_intrinsics > 0
-    sigma = problem.sigma_intrinsics[known]
-    away = (intrinsics_of(unknowns.camera) - intrinsics_of(problem.told))[known]
-    equations.add(np.arange(INTRINSICS.start, INTRINSICS.stop)[known], away / sigma, np.diag(1.0 / sigma))
-    slower = unknowns.camera.line_delay_s - problem.told.line_delay_s
-    equations.add(np.array([DELAY]), np.array([slower / SIGMA_DELAY_S]), np.array([[1.0 / SIGMA_DELAY_S]]))
-    equations.add(BIASES + np.arange(6), unknowns.biases[0] / SIGMA_FIRST_BIAS, np.diag(1.0 / SIGMA_FIRST_BIAS))
-    walk = np.repeat([problem.noise.gyro_walk, problem.noise.accel_walk], 3) * np.sqrt(BIAS_EVERY_S)
-    J = np.hstack([-np.diag(1.0 / walk), np.diag(1.0 / walk)])
-    for node, step in enumerate(np.diff(unknowns.biases, axis=0)):
-        equations.add(BIASES + 6 * node + np.arange(12), step / walk, J)
-
-
 def free_columns(problem: Problem, unknowns: Unknowns, free_target: bool) -> IntArray:
     free = np.ones(unknowns.size, dtype=bool)
     free[SCALE] = free[BEND] = free_target
-    free[INTRINSICS] = problem.sigma_intrinsics > 0
+    free[INTRINSICS] = problem.known.sigma_intrinsics > 0
     return np.flatnonzero(free)
 
 
@@ -290,22 +272,19 @@ def honest_covariance(corners: Corners, blocks: list[Rows], left: Elimination, u
     """(f, f) of the free columns: from independent noise, or from the residuals' own scatter where that is more.
 
     Residuals are alike within CLUSTER_S (blur, vibration), at one corner of the target (print, lighting) and in one
-    part of the image (the lens model). So their gradients are summed over each of these in turn, and the scatter of the
-    sums is carried through the estimate.
-    Source: Liang and Zeger, Biometrika 73(1), 1986 (the "sandwich").
+    part of the image (the lens model).
     """
-    independent = np.linalg.inv(left.information)
+    independent: FloatArray = np.asarray(np.linalg.inv(left.information), dtype=np.float64)
     seen, felt = (scores(block, left, unknowns.size) for block in blocks)
     times = clusters_in_time(blocks, unknowns)
     camera = unknowns.camera
     column, row = (corners.uv_px * IMAGE_PARTS / [camera.width, camera.height]).astype(np.int64).T
     alike = [
-        _sums(np.concatenate([seen, felt]), np.concatenate(times)),
-        _sums(seen, corners.ids),
-        _sums(seen, np.maximum(row, 0) * IMAGE_PARTS + np.clip(column, 0, IMAGE_PARTS - 1)),
+        summed_by(np.concatenate([seen, felt]), np.concatenate(times)),
+        summed_by(seen, corners.ids),
+        summed_by(seen, np.maximum(row, 0) * IMAGE_PARTS + np.clip(column, 0, IMAGE_PARTS - 1)),
     ]
-    scatter = [np.diag(independent @ (g.T @ g) @ independent) for g in alike]
-    larger = np.sqrt(np.maximum(np.max(scatter, axis=0) / np.diag(independent), 1.0))
+    larger = widening(independent, [gradients @ independent for gradients in alike])
     return np.asarray(larger[:, None] * independent * larger)
 
 
@@ -314,10 +293,3 @@ def clusters_in_time(blocks: list[Rows], unknowns: Unknowns) -> list[IntArray]:
     per_cluster = max(1, round(CLUSTER_S / unknowns.motion.spacing_s))
     last = max(1, unknowns.motion.num_segments // per_cluster) - 1
     return [np.minimum(block.segment // per_cluster, last) for block in blocks]
-
-
-def _sums(values: FloatArray, labels: IntArray) -> FloatArray:
-    """(labels, f) of values (N, f)."""
-    out = np.zeros((int(labels.max()) + 1, values.shape[1]))
-    np.add.at(out, labels, values)
-    return out

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from shared.calibration import CameraCalibration, ImuNoise
 from shared.errors import DegenerateGeometry
@@ -19,6 +20,7 @@ from station.calibration.camera_imu.batch import (
     start_unknowns,
     target_shape,
 )
+from station.calibration.camera_imu.priors import Known
 from station.calibration.camera_imu.rows import Corners, Samples
 from station.calibration.camera_imu.start import (
     MAX_SHIFT_S,
@@ -132,7 +134,8 @@ def calibrate_camera_imu(recording: HandheldRecording, progress: Progress) -> Ca
         if reasons:
             return CameraImuCalibration(reasons, None, notes)
         problem = _problem(recording, poses, samples, origin_ns)
-        reasons, solution = _estimate(recording, problem, poses, match, progress)
+        with threadpool_limits(1):  # thousands of small products: BLAS takes twice the time to share each of them out
+            reasons, solution = _estimate(recording, problem, poses, match, progress)
         return CameraImuCalibration(reasons, solution, notes)
     except DegenerateGeometry as exc:
         reasons = [f"{exc}: record 30 to 60 s with the target in view, turning about all axes"]
@@ -143,10 +146,7 @@ def _problem(recording: HandheldRecording, poses: CameraPoses, samples: Samples,
     return Problem(
         corners=Corners.of(poses.views, recording.target, origin_ns, START_SIGMA_PX),
         samples=samples,
-        noise=recording.noise,
-        gravity=recording.gravity,
-        told=recording.camera,
-        sigma_intrinsics=recording.sigma_intrinsics,
+        known=Known(recording.camera, recording.sigma_intrinsics, recording.gravity, recording.noise),
     )
 
 
@@ -156,7 +156,7 @@ def _estimate(
     """The batch estimate, and whether the target and the measurements are as they should be."""
     solution = solve(problem, start_unknowns(problem, poses, match), progress)
     shape = target_shape(solution)
-    if verdict.poor_target(shape, recording.target):  # far off one step does not tell by how much
+    if verdict.is_another(shape):  # one step from a wrong target tells neither by how much nor how surely
         shape = target_shape(solve(problem, solution.unknowns, progress, free_target=True))
     # A target or a lens that is not as its file says explains what does not fit.
     reasons = (

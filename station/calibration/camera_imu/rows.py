@@ -2,32 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shared.calibration import CameraCalibration, ImuNoise
+from shared.calibration import ImuNoise
 from shared.geometry import FloatArray, IntArray, skew
+from station.calibration.camera_imu.projection import Projection
 from station.calibration.camera_imu.spline import ORDER, Orientation
 from station.calibration.camera_imu.unknowns import (
     BEND,
     BIASES,
-    DELAY,
     GRAVITY,
-    INTRINSICS,
-    MOUNT_POSITION,
-    MOUNT_ROTATION,
     SCALE,
-    SHIFT,
     Unknowns,
-    intrinsics_of,
-    with_intrinsics,
 )
 from station.calibration.target import BoardView, Target
 from station.model.frames import ImuBatch
-from station.vision.lens import BoolArray, Lens
+from station.vision.lens import BoolArray
 
-INTRINSICS_STEP = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-6, 1e-6])  # of their numerical derivative
 SIGMA_UNSEEN_GYRO, SIGMA_UNSEEN_ACCEL = 2.0, 20.0  # rad/s, m/s^2: what a hand changes within a tenth of a second
 KNOT = 6  # unknowns of one: rotation, position
 
@@ -95,8 +89,8 @@ class Corners:
             sigma_px=sigma_px,
         )
 
-    def chosen(self, which: BoolArray) -> Corners:
-        """Those of which `which` (M,) is true."""
+    def chosen(self, which: BoolArray | IntArray) -> Corners:
+        """Those of which `which` (M,) is true, or whose rows it names."""
         return Corners(
             self.ids[which], self.t_s[which], self.uv_px[which], self.board[which], self.bend[which], self.sigma_px
         )
@@ -122,6 +116,15 @@ class Rows:
             self.by_border * root[:, None, None],
             self.columns,
         )
+
+
+def joined(parts: Sequence[Rows]) -> Rows:
+    """Measurements of the same columns, one after the other."""
+    segment, residual, by_knots, by_border = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("segment", "residual", "by_knots", "by_border")
+    )
+    return Rows(segment, residual, by_knots, by_border, parts[0].columns)
 
 
 def inertial_rows(unknowns: Unknowns, samples: Samples) -> Rows:
@@ -167,9 +170,7 @@ def row_times(unknowns: Unknowns, corners: Corners) -> FloatArray:
 
 def camera_rows(unknowns: Unknowns, corners: Corners) -> Rows:
     """Reprojection of each corner from where the body was when its row was exposed."""
-    camera, lens = unknowns.camera, Lens(unknowns.camera)
-    T_body_cam = camera.T_body_cam_matrix
-    Rt_cam = T_body_cam[:3, :3].T
+    T_body_cam = unknowns.camera.T_body_cam_matrix
     weights = unknowns.motion.weights(row_times(unknowns, corners))
     turned = unknowns.motion.orientations(weights)
     p, v, _ = unknowns.motion.positions(weights)
@@ -177,44 +178,20 @@ def camera_rows(unknowns: Unknowns, corners: Corners) -> Rows:
     board = unknowns.scale * corners.board
     board[:, 2] += corners.bend @ unknowns.bend
     p_body = (Rt @ (board - p)[..., None])[..., 0]
-    p_cam = (p_body - T_body_cam[:3, 3]) @ Rt_cam.T
-    z = np.maximum(p_cam[:, 2], 1e-3)
-    xy = p_cam[:, :2] / z[:, None]
-    by_p_cam = np.zeros((len(z), 2, 3))
-    by_p_cam[:, 0, 0] = by_p_cam[:, 1, 1] = 1.0 / z
-    by_p_cam[:, :, 2] = -xy / z[:, None]
-    by_p_cam = lens.whitening(xy, corners.sigma_px) @ by_p_cam
-    by_p_body = by_p_cam @ Rt_cam
-    by_board = by_p_body @ Rt
-    by_knots = np.empty((len(z), 2, ORDER, KNOT))
-    by_knots[..., :3] = turned.by_knots(by_p_body @ skew(p_body))
+    p_cam = (p_body - T_body_cam[:3, 3]) @ T_body_cam[:3, :3]
+    seen = Projection.of(unknowns.camera, p_cam, corners.uv_px, corners.sigma_px)
+    by_board = seen.by_body @ Rt
+    M = len(p_cam)
+    by_knots = np.empty((M, 2, ORDER, KNOT))
+    by_knots[..., :3] = turned.by_knots(seen.by_body @ skew(p_body))
     by_knots[..., 3:] = -by_board[:, :, None, :] * weights.blend[:, None, 0, :, None]
-    by_border = np.empty((len(z), 2, BIASES))
-    by_border[..., MOUNT_ROTATION] = by_p_cam @ skew(p_cam)
-    by_border[..., MOUNT_POSITION] = -by_p_body
-    by_border[..., SHIFT] = (by_p_body @ _seen_moving(turned, p_body, v)[..., None])[..., 0]
-    by_border[..., DELAY] = by_border[..., SHIFT] * corners.uv_px[:, 1, None]
-    by_border[..., GRAVITY] = 0.0
+    by_border = seen.by_border(_seen_moving(turned, p_body, v), np.ones(M))
     by_border[..., SCALE] = (by_board @ corners.board[..., None])[..., 0]
     by_border[..., BEND] = by_board[:, :, 2, None] * corners.bend[:, None]
-    by_border[..., INTRINSICS] = by_intrinsics(camera, xy) / corners.sigma_px
-    residual = (lens.project(xy) - corners.uv_px) / corners.sigma_px
-    return Rows(weights.segment, residual, by_knots.reshape(len(z), 2, -1), by_border, np.arange(BIASES))
+    return Rows(weights.segment, seen.residual, by_knots.reshape(M, 2, -1), by_border, np.arange(BIASES))
 
 
 def _seen_moving(turned: Orientation, p_body: FloatArray, v: FloatArray) -> FloatArray:
     """(M, 3) m/s: how the corners move in the body's frame."""
     Rt = np.swapaxes(turned.R, 1, 2)
     return np.asarray(-np.cross(turned.omega, p_body) - (Rt @ v[..., None])[..., 0])
-
-
-def by_intrinsics(camera: CameraCalibration, xy: FloatArray) -> FloatArray:
-    """(M, 2, 8) px. Numerical, so that every lens model has it: it is linear in all of them but for rounding."""
-    now = intrinsics_of(camera)
-    out = np.empty((len(xy), 2, len(now)))
-    for i, step in enumerate(INTRINSICS_STEP):
-        high, low = (
-            Lens(with_intrinsics(camera, now + sign * step * (np.arange(8) == i))).project(xy) for sign in (0.5, -0.5)
-        )
-        out[..., i] = (high - low) / step
-    return out

@@ -38,10 +38,7 @@ class Unknowns:
 
     def bias_weights(self, t_s: FloatArray) -> tuple[IntArray, FloatArray]:
         """Node before each time (N,), and the share (N, 2) of it and the next."""
-        position = np.clip((t_s - self.motion.start_s) / BIAS_EVERY_S, 0.0, len(self.biases) - 1 - 1e-9)
-        node = np.floor(position).astype(np.int64)
-        later = position - node
-        return node, np.stack([1.0 - later, later], axis=1)
+        return bias_weights(t_s - self.motion.start_s, len(self.biases))
 
     def moved(self, knots: FloatArray, border: FloatArray) -> Unknowns:
         """After a step of the knots (n, 6) and of the border (size,)."""
@@ -58,6 +55,14 @@ class Unknowns:
 
 def bias_nodes(duration_s: float) -> int:
     return int(np.ceil(duration_s / BIAS_EVERY_S)) + 1
+
+
+def bias_weights(since_s: FloatArray, num_nodes: int) -> tuple[IntArray, FloatArray]:
+    """Node before each time (N,) since the first node, and the share (N, 2) of it and the next."""
+    position = np.clip(since_s / BIAS_EVERY_S, 0.0, num_nodes - 1 - 1e-9)
+    node = np.floor(position).astype(np.int64)
+    later = position - node
+    return node, np.stack([1.0 - later, later], axis=1)
 
 
 def intrinsics_of(camera: CameraCalibration) -> FloatArray:

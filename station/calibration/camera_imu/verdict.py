@@ -122,7 +122,7 @@ def poor_fit(solution: Solution, told: Samples) -> list[str]:
 def poor_lens(solution: Solution) -> list[str]:
     """Reasons against a lens that is not the one it was said to be: it may be refined, not replaced."""
     problem, found = solution.problem, intrinsics_of(solution.unknowns.camera)
-    told, sigma = intrinsics_of(problem.told), problem.sigma_intrinsics
+    told, sigma = intrinsics_of(problem.known.camera), problem.known.sigma_intrinsics
     away = np.divide(np.abs(found - told), sigma, out=np.zeros_like(sigma), where=sigma > 0)
     worst = int(away.argmax())
     if away[worst] <= SURELY:
@@ -140,6 +140,11 @@ def known_to(solution: Solution) -> dict[str, float]:
         "translation": float(solution.sigma(MOUNT_POSITION).max()),
         "time shift": float(solution.sigma(slice(SHIFT, SHIFT + 1))[0]),
     }
+
+
+def is_another(shape: TargetShape) -> bool:
+    """Whether a target seems not to be as its file says, surely or not."""
+    return abs(shape.scale - 1.0) > MAX_SCALE_ERROR or bool((np.abs(shape.bend_m) > MAX_BEND_M).any())
 
 
 def poor_target(shape: TargetShape, target: Target) -> list[str]:

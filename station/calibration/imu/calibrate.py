@@ -225,7 +225,11 @@ def _notes(
     for name, sensor in (("gyroscope", gyro), ("accelerometer", accel)):
         walk = sensor.noise.walk
         if longest_s >= WALK_REST_S and not walk.is_known and not sensor.drifts:
-            yield f"{longest_s / 60:.0f} minutes do not show the {name}'s random walk: it is {walk.high:.2g} at most"
+            if walk.low > 0.0:
+                told = f"tell the {name}'s random walk from its flicker: it is {walk.low:.2g} to {walk.high:.2g}"
+            else:
+                told = f"show the {name}'s random walk: it is {walk.high:.2g} at most"
+            yield f"{longest_s / 60:.0f} minutes do not {told}; longer ones may"
         if sensor.drifts:
             yield f"the {name} drifted, as while warming up; switch it on 10 minutes before: the random walk is a limit"
         if sensor.foreign_hz:
@@ -274,6 +278,6 @@ def used_walk(sensor: SensorNoise, consumer: float) -> float:
     the flicker's where white noise falls below it, so K^2 tau / 3 = c at tau = N^2 / c, c the flicker's variance.
     """
     noise: Noise = sensor.noise
-    walk = _noisiest(sensor, WALK) if noise.walk.is_known else min(consumer, noise.walk.high)
+    walk = _noisiest(sensor, WALK) if noise.walk.is_known else min(max(consumer, noise.walk.low), noise.walk.high)
     flat = FLAT_SHARE * noise.instability.value**2
     return math.hypot(walk, math.sqrt(3.0) * flat / noise.density.value)

@@ -33,13 +33,14 @@ FLICKER = 1  # of the design's columns: white noise, flicker, random walk
 class Estimate:
     """One figure and its 95 % interval. `low` is 0 where the recording does not tell it from none at all."""
 
-    value: float
+    value: float  # the most likely one, known or not
     low: float
     high: float
 
     @property
     def is_known(self) -> bool:
-        return self.low > 0.0
+        """Whether the interval lies within a factor of two: of a wider one only the ends are told."""
+        return self.high < 2.0 * self.low
 
 
 @dataclass(frozen=True, slots=True)

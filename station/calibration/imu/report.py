@@ -23,7 +23,7 @@ FIGURES = {
 
 
 def calibration_json(found: ImuCalibration) -> dict[str, Any]:
-    """Every figure with its 95 % interval; `value` is null where the recording tells only an upper limit."""
+    """Every figure with its 95 % interval; `value` is null where the recording tells only that, or an upper limit."""
     sensors = {"gyro": found.gyro, "accel": found.accel}
     figures = {
         f"{sensor}_{name}": None if noise is None else _figure(noise, attribute, units[sensor == "accel"])
@@ -121,5 +121,5 @@ def _errors_lines(errors: AccelerometerErrors) -> Iterator[str]:
 
 def _said(estimate: Estimate) -> str:
     if not estimate.is_known:
-        return f"at most {estimate.high:.3g}"
+        return f"{estimate.low:.3g} to {estimate.high:.3g}" if estimate.low > 0.0 else f"at most {estimate.high:.3g}"
     return f"{estimate.value:.3g} ({estimate.low:.3g} to {estimate.high:.3g})"

@@ -13,21 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, IntArray, so3_log
-from station.calibration.camera_imu.unknowns import (
-    BEND,
-    BIAS_EVERY_S,
-    BIASES,
-    DELAY,
-    GRAVITY,
-    INTRINSICS,
-    MOUNT_POSITION,
-    MOUNT_ROTATION,
-    SCALE,
-    SHIFT,
-    intrinsics_of,
-)
+from station.calibration.camera_imu.priors import Known, Prior, columns_of, scalar_prior
+from station.calibration.camera_imu.unknowns import BEND, INTRINSICS, MOUNT_POSITION, MOUNT_ROTATION, SCALE, SHIFT
 from station.calibration.targetless.rows import (
     Inertial,
     InertialRows,
@@ -36,7 +24,7 @@ from station.calibration.targetless.rows import (
     inertial_rows,
     sighting_rows,
 )
-from station.calibration.targetless.solver import Equations, Prior, equations, solved
+from station.calibration.targetless.solver import Equations, equations, solved
 from station.calibration.targetless.tracks import Sightings
 from station.calibration.targetless.unknowns import STATE, Estimate
 
@@ -47,8 +35,6 @@ FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e6
 CONVERGED = 1e-4  # share of the cost by which a step still lowers it
 # What is known beforehand is weaker than any recording worth using: it keeps finite what no motion shows.
 SIGMA_ROTATION, SIGMA_POSITION_M, SIGMA_SHIFT_S = 0.5, 0.3, 0.2
-SIGMA_GRAVITY = 0.05  # m/s^2, see camera_imu/batch.py
-SIGMA_FIRST_BIAS = np.repeat([0.2, 0.5], 3)  # rad/s, m/s^2
 SIGMA_FRAME = 1e-3  # rad, m: of the first image's pose, which is the world's origin
 
 Progress = Callable[[str], None]
@@ -60,10 +46,7 @@ class Problem:
 
     seen: Sightings
     inertial: Inertial
-    gravity: float  # m/s^2
-    told: CameraCalibration
-    sigma_intrinsics: FloatArray  # (8,) of what is told; 0: kept
-    sigma_delay_s: float  # likewise
+    known: Known
     sigma_px: float = START_SIGMA_PX
     noise_scale: FloatArray | None = None  # (2,): of turning, of moving, over what the noise that was told means
 
@@ -72,8 +55,7 @@ class Problem:
         free = np.ones(size, dtype=bool)
         border = free[num_states:]
         border[SCALE] = border[BEND] = False
-        border[INTRINSICS] = self.sigma_intrinsics > 0
-        border[DELAY] = self.sigma_delay_s > 0
+        border[INTRINSICS] = self.known.sigma_intrinsics > 0
         return np.flatnonzero(free)
 
 
@@ -103,38 +85,15 @@ def linearised(problem: Problem, now: Estimate) -> Linearised:
 
 
 def known_before(problem: Problem, now: Estimate) -> list[Prior]:
-    """Of the border: the size of gravity, the lens, biases that walk slowly; of the calibration next to nothing."""
-    size = float(np.linalg.norm(now.gravity))
-    told, T, T_told = problem.told, now.camera.T_body_cam_matrix, problem.told.T_body_cam_matrix
-    known = problem.sigma_intrinsics > 0
-    sigma = problem.sigma_intrinsics[known]
-    away = (intrinsics_of(now.camera) - intrinsics_of(told))[known]
-    noise = problem.inertial.noise
-    walk = np.repeat([noise.gyro_walk, noise.accel_walk], 3) * np.sqrt(BIAS_EVERY_S)
-    J_walk = np.hstack([-np.diag(1.0 / walk), np.diag(1.0 / walk)])
+    """Of the border; of how the camera sits, and of the time shift, next to nothing."""
+    told, T, T_told = problem.known.camera, now.camera.T_body_cam_matrix, problem.known.camera.T_body_cam_matrix
     turned = so3_log(T_told[:3, :3].T @ T[:3, :3])
-    priors = [
-        _scalar(_columns(GRAVITY), size - problem.gravity, now.gravity[None] / size, SIGMA_GRAVITY),
-        Prior(_columns(INTRINSICS)[known], away / sigma, np.diag(1.0 / sigma)),
-        Prior(_columns(MOUNT_ROTATION), turned / SIGMA_ROTATION, np.eye(3) / SIGMA_ROTATION),
-        Prior(_columns(MOUNT_POSITION), (T[:3, 3] - T_told[:3, 3]) / SIGMA_POSITION_M, np.eye(3) / SIGMA_POSITION_M),
-        _scalar(np.array([SHIFT]), now.camera.time_shift_s - told.time_shift_s, np.eye(1), SIGMA_SHIFT_S),
-        Prior(BIASES + np.arange(6), now.biases[0] / SIGMA_FIRST_BIAS, np.diag(1.0 / SIGMA_FIRST_BIAS)),
-    ]  # fmt: skip
-    if problem.sigma_delay_s > 0:
-        slower = now.camera.line_delay_s - told.line_delay_s
-        priors.append(_scalar(np.array([DELAY]), slower, np.eye(1), problem.sigma_delay_s))
-    for node, step in enumerate(np.diff(now.biases, axis=0)):
-        priors.append(Prior(BIASES + 6 * node + np.arange(12), step / walk, J_walk))
-    return priors
-
-
-def _scalar(columns: IntArray, away: float, J: FloatArray, sigma: float) -> Prior:
-    return Prior(columns, np.array([away / sigma]), J / sigma)
-
-
-def _columns(which: slice) -> IntArray:
-    return np.arange(which.start, which.stop)
+    return [
+        *problem.known.priors(now.camera, now.gravity, now.biases),
+        Prior(columns_of(MOUNT_ROTATION), turned / SIGMA_ROTATION, np.eye(3) / SIGMA_ROTATION),
+        Prior(columns_of(MOUNT_POSITION), (T[:3, 3] - T_told[:3, 3]) / SIGMA_POSITION_M, np.eye(3) / SIGMA_POSITION_M),
+        scalar_prior(np.array([SHIFT]), now.camera.time_shift_s - told.time_shift_s, np.eye(1), SIGMA_SHIFT_S),
+    ]
 
 
 def assembled(problem: Problem, now: Estimate, at: Linearised, damping: float) -> Equations:

@@ -73,24 +73,28 @@ def focal_length(problem: Problem, now: Estimate, at: Linearised) -> tuple[float
 
     The gyroscope's scale is the measure of it, and 1 % of that is within what such sensors' data sheets allow.
     """
-    if problem.sigma_intrinsics.any():
+    if problem.known.sigma_intrinsics.any():
         opened = problem
     else:
-        opened = replace(problem, sigma_intrinsics=np.array([SIGMA_FOCAL * problem.told.fx] * 2 + [0.0] * 6))
+        opened = with_open_focal_length(problem)
         at = linearised(opened, now)
     num_states = STATE * len(now.t_s)
     system = assembled(opened, now, at, 0.0)
     step = solved(system.H, system.g, opened.free(now.size, num_states), 0.0)[num_states:]
     covariance = honest_covariance(opened, now, at)
     fx = now.camera.fx + step[INTRINSICS.start]
-    sigma = np.sqrt(covariance[INTRINSICS.start, INTRINSICS.start]) / problem.told.fx
-    return float(fx / problem.told.fx), float(np.hypot(sigma, SIGMA_GYRO_SCALE))
+    sigma = np.sqrt(covariance[INTRINSICS.start, INTRINSICS.start]) / problem.known.camera.fx
+    return float(fx / problem.known.camera.fx), float(np.hypot(sigma, SIGMA_GYRO_SCALE))
 
 
-def with_focal_length(problem: Problem, solution: Solution, progress: Progress) -> Solution:
+def with_focal_length(solution: Solution, progress: Progress) -> Solution:
     """The estimate with the focal length found as well."""
-    opened = replace(solution.problem, sigma_intrinsics=np.array([SIGMA_FOCAL * problem.told.fx] * 2 + [0.0] * 6))
-    return solve(opened, solution.estimate, progress)
+    return solve(with_open_focal_length(solution.problem), solution.estimate, progress)
+
+
+def with_open_focal_length(problem: Problem) -> Problem:
+    sigma = np.array([SIGMA_FOCAL * problem.known.camera.fx] * 2 + [0.0] * 6)
+    return replace(problem, known=replace(problem.known, sigma_intrinsics=sigma))
 
 
 def without_outliers(problem: Problem, now: Estimate) -> tuple[Problem, Estimate]:

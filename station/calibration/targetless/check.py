@@ -8,10 +8,12 @@ from typing import Any, Protocol
 
 import msgspec
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from shared.calibration import CameraCalibration, ImuNoise
 from shared.errors import DegenerateGeometry
 from shared.geometry import IntArray
+from station.calibration.camera_imu.priors import Known
 from station.calibration.camera_imu.rows import Samples
 from station.calibration.camera_imu.start import match_turning
 from station.calibration.camera_imu.unknowns import DELAY, GRAVITY, MOUNT_POSITION, MOUNT_ROTATION, SHIFT
@@ -25,7 +27,6 @@ from station.calibration.targetless.turning import camera_turns
 from station.calibration.targetless.verdict import Quantity
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 
-SIGMA_DELAY_S = 1e-4  # rows are read within 50 ms at the slowest
 MIN_HEAD_RAD = 0.01
 
 
@@ -169,12 +170,13 @@ def check_calibration(recording: LivelyRecording, progress: Progress) -> Calibra
         inertial = Inertial(recording.imu, recording.noise, samples, origin_ns)
         seen = seen.chosen(agreeing)
         start = begin(told, seen, match, inertial, recording.gravity)
-        problem = Problem(seen, inertial, recording.gravity, told, np.zeros(8), SIGMA_DELAY_S)
-        solution = solve(problem, start, progress.step)
-        found = verdict.quantities(solution, told, match)
-        if any(q.key == "focal_length" and q.is_observable and not q.fits for q in found):
-            solution = with_focal_length(problem, solution, progress.step)
+        problem = Problem(seen, inertial, Known(told, np.zeros(8), recording.gravity, recording.noise))
+        with threadpool_limits(1):  # as in camera_imu/calibrate.py
+            solution = solve(problem, start, progress.step)
             found = verdict.quantities(solution, told, match)
+            if any(q.key == "focal_length" and q.is_observable and not q.fits for q in found):
+                solution = with_focal_length(solution, progress.step)
+                found = verdict.quantities(solution, told, match)
     except DegenerateGeometry as exc:
         return CalibrationCheck(told, [f"{exc}: {verdict.WAVE}"], None, [])
     reasons = verdict.poor_fit(solution, match)

@@ -8,22 +8,14 @@ import numpy as np
 
 from shared.calibration import ImuNoise
 from shared.geometry import FloatArray, IntArray, skew, so3_exp, so3_log
-from station.calibration.camera_imu.rows import Samples, by_intrinsics
-from station.calibration.camera_imu.unknowns import (
-    BIASES,
-    DELAY,
-    INTRINSICS,
-    MOUNT_POSITION,
-    MOUNT_ROTATION,
-    SHIFT,
-)
+from station.calibration.camera_imu.projection import Projection
+from station.calibration.camera_imu.rows import Samples
 from station.calibration.targetless.tracks import Sightings
 from station.calibration.targetless.unknowns import STATE, Estimate, across
 from station.model.frames import ImuBatch
 from station.motion import lie
 from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import Preintegration, preintegrate
-from station.vision.lens import Lens
 
 RATE_STEP_S = 0.005  # over which the angular rate at an image is taken
 
@@ -86,9 +78,8 @@ class Inertial:
 
 def sighting_rows(now: Estimate, seen: Sightings, inertial: Inertial, sigma_px: float) -> SightingRows:
     """Reprojection of each corner from where the body was when its row was exposed."""
-    camera, lens = now.camera, Lens(now.camera)
-    T = camera.T_body_cam_matrix
-    R_cam_body, t_body_cam = T[:3, :3].T, T[:3, 3]
+    camera, T = now.camera, now.camera.T_body_cam_matrix
+    t_body_cam = T[:3, 3]
     k, corner, M = seen.image, seen.corner, len(seen.image)
     middle = 0.5 * (camera.height - 1)
     later = camera.line_delay_s * (seen.uv_px[:, 1] - middle)
@@ -104,30 +95,18 @@ def sighting_rows(now: Estimate, seen: Sightings, inertial: Inertial, sigma_px: 
     rho = now.inverse_depth[corner]
     away = now.anchor[corner] - p
     q = (Rt @ (now.ray[corner] + rho[:, None] * away)[..., None])[..., 0]
-    h = (q - rho[:, None] * t_body_cam) @ R_cam_body.T
-    z = np.where(np.abs(h[:, 2]) > 1e-3, h[:, 2], 1e-3)
-    xy = h[:, :2] / z[:, None]
-    by_h = np.zeros((M, 2, 3))
-    by_h[:, 0, 0] = by_h[:, 1, 1] = 1.0 / z
-    by_h[:, :, 2] = -xy / z[:, None]
-    by_h = lens.whitening(xy, sigma_px) @ by_h
-    by_q = by_h @ R_cam_body
+    seen_at = Projection.of(camera, (q - rho[:, None] * t_body_cam) @ T[:3, :3], seen.uv_px, sigma_px)
+    by_q = seen_at.by_body
     by_p = -rho[:, None, None] * (by_q @ Rt)
     by_state = np.empty((M, 2, STATE))
     by_state[..., :3] = by_q @ skew(q) @ np.swapaxes(after, 1, 2)
     by_state[..., 3:6] = by_p
     by_state[..., 6:] = by_p * later[:, None, None]
-    by_border = np.zeros((M, 2, BIASES))
-    by_border[..., MOUNT_ROTATION] = by_h @ skew(h)
-    by_border[..., MOUNT_POSITION] = -rho[:, None, None] * by_q
     moving = -np.cross(rate[k], q) - rho[:, None] * (Rt @ v[..., None])[..., 0]
-    by_border[..., SHIFT] = (by_q @ moving[..., None])[..., 0]
-    by_border[..., DELAY] = by_border[..., SHIFT] * seen.uv_px[:, 1, None]
-    by_border[..., INTRINSICS] = by_intrinsics(camera, xy) / sigma_px
     by_point = np.empty((M, 2, 3))
     by_point[..., :2] = by_q @ Rt @ across(now.ray)[corner]
     by_point[..., 2] = (by_q @ ((Rt @ away[..., None])[..., 0] - t_body_cam)[..., None])[..., 0]
-    return SightingRows((lens.project(xy) - seen.uv_px) / sigma_px, by_state, by_border, by_point)
+    return SightingRows(seen_at.residual, by_state, seen_at.by_border(moving, rho), by_point)
 
 
 def inertial_rows(now: Estimate, inertial: Inertial, scale: FloatArray) -> InertialRows:

@@ -10,21 +10,13 @@ from scipy.linalg import cho_factor, cho_solve
 
 from shared.errors import DegenerateGeometry
 from shared.geometry import FloatArray, IntArray
+from station.calibration.camera_imu.priors import Prior
 from station.calibration.camera_imu.unknowns import BIASES, GRAVITY
 from station.calibration.targetless.rows import InertialRows, SightingRows
 from station.calibration.targetless.tracks import Sightings
 from station.calibration.targetless.unknowns import POINT, STATE
 
 WEAKEST_POINT = 1e-6  # of a corner's information: keeps finite what only turning saw
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Prior:
-    """What is known of some of the border beforehand, whitened: residual (m,), its derivative (m, c) by c columns."""
-
-    columns: IntArray
-    residual: FloatArray
-    J: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

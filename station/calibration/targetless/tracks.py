@@ -14,6 +14,7 @@ from station.calibration.camera_imu.rows import Samples
 from station.model.frames import ImageFrame
 from station.vision.klt import Tracker, TrackerConfig
 from station.vision.lens import BoolArray, Lens
+from station.vision.patches import Anchors, smoothed
 
 MAX_USED_S = 30.0  # more takes longer than it tells
 MAX_KEYFRAMES = 160  # the equations are dense in them
@@ -73,7 +74,7 @@ def follow(
         DataError: an image cannot be read, or is not of the lens' size.
     """
     lens = Lens(camera)
-    tracker = Tracker(lens, TRACKER)
+    tracker, anchors = Tracker(lens, TRACKER), Anchors()
     step = max(1, -(-num_frames // MAX_KEYFRAMES))
     R_body_cam = camera.T_body_cam_matrix[:3, :3]
     angle = np.concatenate([np.zeros((1, 3)), np.cumsum(samples.gyro[:-1] * np.diff(samples.t_s)[:, None], axis=0)])
@@ -81,7 +82,6 @@ def follow(
     images: list[IntArray] = []
     ids: list[IntArray] = []
     uv: list[FloatArray] = []
-    xy: list[FloatArray] = []
     before_s = None
     for number, frame in enumerate(frames):
         advance()
@@ -100,14 +100,15 @@ def follow(
         seen = tracker.process(grey, R_body_cam.T @ so3_exp(turned) @ R_body_cam, is_bias_known=False)
         if number % step:
             continue
-        images.append(np.full(len(seen.ids), len(times)))
+        numbers, at_px = anchors.seen(smoothed(grey), seen.ids, seen.uv_px)
+        images.append(np.full(len(numbers), len(times)))
         times.append(t_s)
-        ids.append(seen.ids)
-        uv.append(seen.uv_px)
-        xy.append(seen.xy)
+        ids.append(numbers)
+        uv.append(at_px)
     if not times:
         raise DataError("none of the images can be used; record the camera as well")
-    return _sorted(np.array(times), np.concatenate(images), np.concatenate(ids), np.concatenate(uv), np.concatenate(xy))
+    uv_px = np.concatenate(uv)
+    return _sorted(np.array(times), np.concatenate(images), np.concatenate(ids), uv_px, lens.unproject(uv_px))
 
 
 def _angle(t_s: float, t_imu_s: FloatArray, angle: FloatArray) -> FloatArray:

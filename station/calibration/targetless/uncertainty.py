@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from shared.geometry import FloatArray, IntArray
+from shared.geometry import FloatArray
+from station.calibration.camera_imu.scatter import summed_by, widening
 from station.calibration.camera_imu.unknowns import BIASES, DELAY, GRAVITY, MOUNT_POSITION, MOUNT_ROTATION, SHIFT
 from station.calibration.targetless.adjustment import Linearised, Problem, assembled
 from station.calibration.targetless.unknowns import STATE, Estimate
 
 CLUSTER_S = 0.5
-# Tracks drift with the picture around them, which neither moment nor corner gathers: of 12 rendered recordings the
-# errors were about twice what is claimed without this (docs/calibration.md).
-TRACK_DRIFT = 2.0
 # What stays however long the recording: row times within a picture, clocks, an IMU's axes (as with a target).
 FLOOR_ROTATION, FLOOR_POSITION_M, FLOOR_SHIFT_S, FLOOR_DELAY_S = np.radians(0.05), 2e-3, 1e-4, 3e-7
 
@@ -57,9 +55,7 @@ def noise_of(problem: Problem, now: Estimate, at: Linearised) -> tuple[float, Fl
 def honest_covariance(problem: Problem, now: Estimate, at: Linearised) -> FloatArray:
     """(border, border): from independent noise, or from the residuals' own scatter where that is more.
 
-    Residuals are alike within CLUSTER_S and along the track of one corner, which drifts. So what each contributes to
-    the estimate is summed over each of these, and the sums' scatter is what counts.
-    Source: Liang and Zeger, Biometrika 73(1), 1986 (the "sandwich").
+    Residuals are alike within CLUSTER_S and of one corner.
     """
     num_states = STATE * len(now.t_s)
     system = assembled(problem, now, at, 0.0)
@@ -98,23 +94,13 @@ def honest_covariance(problem: Problem, now: Estimate, at: Linearised) -> FloatA
     begin = now.t_s[0]
     in_time = ((now.t_s - begin) / CLUSTER_S).astype(np.int64)
     alike = [
-        _sums(np.concatenate([from_seen, from_felt]), np.concatenate([in_time[seen.image], in_time[:-1]])),
-        np.concatenate([_sums(from_seen, seen.corner), from_felt]),
+        summed_by(np.concatenate([from_seen, from_felt]), np.concatenate([in_time[seen.image], in_time[:-1]])),
+        np.concatenate([summed_by(from_seen, seen.corner), from_felt]),
     ]
-    scatter = [np.diag(g.T @ g) * len(g) / max(len(g) - 1, 1) for g in alike]
-    own = np.diag(independent).copy()
-    ratio = np.ones(now.border)
-    np.divide(np.max(scatter, axis=0), own, out=ratio, where=own > 0)
-    larger = TRACK_DRIFT * np.sqrt(np.maximum(ratio, 1.0))
+    larger = widening(independent, alike)
     found = larger[:, None] * independent * larger
     floor = np.zeros(now.border)
     floor[MOUNT_ROTATION], floor[MOUNT_POSITION] = FLOOR_ROTATION, FLOOR_POSITION_M
     floor[SHIFT], floor[DELAY] = FLOOR_SHIFT_S, FLOOR_DELAY_S
-    found[np.diag_indices_from(found)] += np.where(own > 0, floor**2, 0.0)
+    found[np.diag_indices_from(found)] += np.where(np.diag(independent) > 0, floor**2, 0.0)
     return np.asarray(found)
-
-
-def _sums(values: FloatArray, labels: IntArray) -> FloatArray:
-    out = np.zeros((int(labels.max()) + 1, values.shape[1]))
-    np.add.at(out, labels, values)
-    return out

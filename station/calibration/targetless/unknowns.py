@@ -13,7 +13,7 @@ import numpy as np
 
 from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, IntArray, skew, so3_exp
-from station.calibration.camera_imu.unknowns import BIAS_EVERY_S, BIASES, GRAVITY, moved_camera
+from station.calibration.camera_imu.unknowns import BIASES, GRAVITY, bias_weights, moved_camera
 
 STATE = 9  # unknowns of an image: rotation on the right, position, velocity
 POINT = 3  # of a corner: ray across itself, inverse depth
@@ -46,10 +46,7 @@ class Estimate:
 
     def bias_weights(self, t_s: FloatArray) -> tuple[IntArray, FloatArray]:
         """Node before each time (N,), and the share (N, 2) of it and the next."""
-        position = np.clip((t_s - self.t_s[0]) / BIAS_EVERY_S, 0.0, len(self.biases) - 1 - 1e-9)
-        node = np.floor(position).astype(np.int64)
-        later = position - node
-        return node, np.stack([1.0 - later, later], axis=1)
+        return bias_weights(t_s - self.t_s[0], len(self.biases))
 
     def bias_at(self, t_s: FloatArray) -> FloatArray:
         """(N, 6)."""

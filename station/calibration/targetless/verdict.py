@@ -117,7 +117,7 @@ def poor_turning(match: TurningMatch) -> list[str]:
 def poor_fit(solution: Solution, match: TurningMatch) -> list[str]:
     """Reasons against an estimate that does not explain the measurements."""
     if not solution.has_converged:
-        return [f"the estimate did not settle: {WAVE}"]
+        return [f"the estimate did not settle: {_one_axis(match) or WAVE}"]
     reasons = []
     if solution.left_out > MAX_LEFT_OUT or solution.rms_px > MAX_PX:
         reasons.append(
@@ -147,7 +147,7 @@ def quantities(solution: Solution, told: CameraCalibration, match: TurningMatch)
     """What was found of each part of the calibration."""
     camera = solution.estimate.camera
     T, T_told = camera.T_body_cam_matrix, told.T_body_cam_matrix
-    one_axis = _one_axis(match) if match.rates[1] < MIN_SECOND_RATE else ""
+    one_axis = _one_axis(match)
     repeats = "the motion repeats itself" if match.runner_up < MIN_APART * match.unexplained else ""
     focal, focal_sigma = solution.focal_scale, solution.focal_sigma
     return [
@@ -185,6 +185,9 @@ def too_vague(found: list[Quantity]) -> list[str]:
 
 
 def _one_axis(match: TurningMatch) -> str:
+    """What to do where it turned about one axis only; empty where it did not."""
+    if match.rates[1] >= MIN_SECOND_RATE:
+        return ""
     main = int(np.argmax(np.abs(match.axes_cam[0])))
     rest = " and ".join(turn for axis, turn in enumerate(TURNS) if axis != main)
     return (

@@ -13,7 +13,7 @@ import numpy as np
 from shared.errors import DataError
 from shared.geometry import FloatArray, IntArray
 from station.model.navigation import Navigation
-from station.model.place_map import Place, PlaceEdge, PlaceMap
+from station.model.place_map import EdgeKind, Place, PlaceEdge, PlaceMap
 from station.places.making.scale import ground_rotation
 
 MIN_SHARED_KEYFRAMES = 2
@@ -43,7 +43,8 @@ def place_edges(navigation: Navigation, places: Sequence[Place]) -> tuple[PlaceE
     distance = np.linalg.norm(centroid[:, None] - centroid[None], axis=2)
     driven = _driven_between(navigation, centroid)
     seen = _without_detours(_seen_together(places), distance, keep=driven)
-    kinds = dict.fromkeys(seen, "seen together") | dict.fromkeys(driven, "driven between")
+    kinds: dict[tuple[int, int], EdgeKind] = dict.fromkeys(seen, "seen together")
+    kinds.update(dict.fromkeys(driven, "driven between"))
     graph = nx.Graph()
     graph.add_nodes_from(range(len(places)))
     graph.add_edges_from(kinds)
@@ -55,7 +56,7 @@ def place_edges(navigation: Navigation, places: Sequence[Place]) -> tuple[PlaceE
             b=places[b].id,
             bearing_rad=_bearing(R_ground_map @ (centroid[b] - centroid[a])),
             distance=float(distance[a, b]),
-            kind=kind,  # type: ignore[arg-type]  # the three literals above
+            kind=kind,
         )
         for (a, b), kind in sorted(kinds.items())
     )

@@ -6,7 +6,7 @@ accelerometer; of a landmark: l (Point3). A change (w, u) of a pose is GTSAM's, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import MutableSequence
 from functools import lru_cache
 
 import gtsam
@@ -17,6 +17,8 @@ from shared.geometry import FloatArray
 from station.motion.preintegration import Preintegration
 
 UNIT_CAMERA = gtsam.Cal3_S2(1.0, 1.0, 0.0, 0.0, 0.0)  # measurements are normalised coordinates
+
+Jacobians = MutableSequence[FloatArray]  # by each of a factor's variables: GTSAM hands it over to be filled
 
 ODOMETRY_SIGMA_RAD, ODOMETRY_SIGMA_M, ODOMETRY_SHARE = 1e-3, 0.002, 0.05
 
@@ -50,7 +52,7 @@ def inertial_factor(a: int, b: int, link: Preintegration, noise: ImuNoise, gravi
     walk = np.repeat([noise.gyro_walk, noise.accel_walk], 3) * np.sqrt(link.duration_s)
     W = link.sqrt_information
 
-    def error(_: gtsam.CustomFactor, values: gtsam.Values, H: Sequence[FloatArray] | None) -> FloatArray:
+    def error(_: gtsam.CustomFactor, values: gtsam.Values, H: Jacobians | None) -> FloatArray:
         Ti, Tj = values.atPose3(keys[0]), values.atPose3(keys[1])
         bi, bj = values.atVector(keys[4]), values.atVector(keys[5])
         r, J = inertial_residual(
@@ -67,7 +69,7 @@ def inertial_factor(a: int, b: int, link: Preintegration, noise: ImuNoise, gravi
                     whole[:9] = block
                 if k >= 4:
                     whole[9:] = walking if k == 5 else -walking
-                H[k] = whole  # type: ignore[index]
+                H[k] = whole
         return np.concatenate([W @ r, (bj - bi) / walk])
 
     keys = [pose_key(a), pose_key(b), velocity_key(a), velocity_key(b), bias_key(a), bias_key(b)]
@@ -167,15 +169,15 @@ def wheel_factor(keyframe: int, by_wheels: FloatArray, sigma: FloatArray, huber:
         return None
     by_wheels, sigma = by_wheels[known], sigma[known]
 
-    def error(_: gtsam.CustomFactor, values: gtsam.Values, H: Sequence[FloatArray] | None) -> FloatArray:
+    def error(_: gtsam.CustomFactor, values: gtsam.Values, H: Jacobians | None) -> FloatArray:
         R = values.atPose3(keys[0]).rotation().matrix()
         v_body = R.T @ values.atVector(keys[1])
         if H is not None:
             by_pose = np.zeros((len(sigma), 6))
             by_pose[:, :3] = _skew(v_body)[known]
-            H[0] = by_pose / sigma[:, None]  # type: ignore[index]
-            H[1] = R.T[known] / sigma[:, None]  # type: ignore[index]
-            H[2] = -by_wheels / sigma[:, None]  # type: ignore[index]
+            H[0] = by_pose / sigma[:, None]
+            H[1] = R.T[known] / sigma[:, None]
+            H[2] = -by_wheels / sigma[:, None]
         return np.asarray((v_body[known] - by_wheels @ values.atVector(keys[2])) / sigma)
 
     keys = [pose_key(keyframe), velocity_key(keyframe), WHEELS_KEY]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import socket
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ from typer.testing import CliRunner
 
 from station.commands import doctor
 from station.main import app
+from station.model.calibration_fit import REMEDY
 
 
 class Usage(NamedTuple):
@@ -63,3 +65,30 @@ def test_a_missing_library_counts_only_where_the_station_needs_it(monkeypatch: p
     found = {f.name: f for f in doctor.libraries()}
     assert found["open3d"].is_optional and "Remedy" in found["open3d"].sentence
     assert not found["cv2"].is_optional and str(found["cv2"]).startswith("  missing")
+
+
+def report(data: Path, navigation: str, verdict: str, mtime_s: float) -> None:
+    folder = data / "navigations" / navigation / "navigation"
+    folder.mkdir(parents=True)
+    fit = {"verdict": verdict, "sentence": f"the calibration: {verdict}; {REMEDY}"}
+    (folder / "navigation.json").write_text(json.dumps({"backend": "ukf", "calibration_fit": fit}))
+    os.utime(folder / "navigation.json", (mtime_s, mtime_s))
+
+
+def test_a_calibration_that_the_newest_drive_contradicts_is_named_with_the_check_that_repairs_it(
+    tmp_path: Path,
+) -> None:
+    assert doctor.calibration(tmp_path).works
+    report(tmp_path, "nav-2", "fits", 100.0)
+    report(tmp_path, "nav-1", "does not fit", 200.0)
+    report(tmp_path, "nav-3", "not known yet", 300.0)
+    finding = doctor.calibration(tmp_path)
+    assert not finding.works and finding.is_optional  # the station itself works
+    assert "nav-1" in finding.sentence
+    assert "station calibrate check RECORDING.mcap --out calibration.yaml" in finding.sentence
+
+
+def test_half_a_navigation_says_nothing_of_the_calibration(tmp_path: Path) -> None:
+    report(tmp_path, "nav-1", "fits", 100.0)
+    (tmp_path / "navigations" / "nav-1" / "navigation" / "navigation.json").write_text("{")
+    assert doctor.calibration(tmp_path).works

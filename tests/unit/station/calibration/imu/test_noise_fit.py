@@ -56,6 +56,12 @@ def test_a_random_walk_that_flicker_hides_is_not_overstated() -> None:
     assert sum(one.low <= hidden.walk <= one.high for one in values) >= 17
 
 
+def test_of_an_interval_wider_than_a_factor_of_two_only_the_ends_are_told() -> None:
+    assert Estimate(1.0, 0.7, 1.3).is_known
+    assert not Estimate(1.0, 0.4, 1.5).is_known
+    assert not Estimate(1.0, 0.0, 1.1).is_known
+
+
 def test_without_a_random_walk_only_a_limit_is_claimed() -> None:
     still = TrueNoise(2.6e-4, 0.0)
     walks = [measured(seed, 5.0, still).walk for seed in range(20)]
