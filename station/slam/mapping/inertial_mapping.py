@@ -25,18 +25,16 @@ def lay_on_imu(
     v_world: FloatArray,
     terms: InertialTerms,
     camera: CameraCalibration,
-    sigma_px: float,
 ) -> OdometryMap:
     """The map adjusted again, with the inertial readings in place of relative motions; upright.
 
     Args:
         T_world_body, v_world: (N, 4, 4), (N, 3) poses and velocities as they were known before the map.
-        sigma_px: of a feature's observations, which hang together along its track.
     """
     state = _upright(made.state, T_world_body[:, 2, :3])
     turned = state.R_world_body @ np.swapaxes(T_world_body[:, :3, :3], 1, 2)
     state = replace(state, motion=terms.start((turned @ v_world[:, :, None])[:, :, 0]))
-    state, kept = refine(state, made.tracks, made.rays, terms, camera, LAST_SCALES * ROUNDS, sigma_px, damping=1e-8)
+    state, kept = refine(state, made.tracks, made.rays, terms, camera, LAST_SCALES * ROUNDS, damping=1e-8)
     return odometry_map(state, kept, made.rays, camera, made.num_loops, made.num_matches)
 
 

@@ -200,7 +200,6 @@ def refine(
     motion: MotionTerms,
     camera: CameraCalibration,
     scales: Sequence[float],
-    sigma_px: float = 1.0,
     damping: float = 1e-4,
 ) -> tuple[BundleState, Tracks]:
     """Triangulate all tracks and adjust, with ever stricter residuals; the observations that fit at the end."""
@@ -211,9 +210,9 @@ def refine(
         few = kept.only(used[kept.point])
         state = adjust(
             replace(state, points=points[used]),
-            observations(few, rays, camera, sigma_px),
+            observations(few, rays, camera),
             motion,
-            scale / sigma_px,
+            scale,
             damping,
         )
     kept, points = triangulate_and_prune(state, tracks, rays, camera, GATE * scales[-1])
@@ -258,11 +257,9 @@ def gather(tracks: Tracks, rays: Sequence[FloatArray]) -> FloatArray:
     return np.vstack(rays)[offset[tracks.keyframe] + tracks.feature]
 
 
-def observations(
-    tracks: Tracks, rays: Sequence[FloatArray], camera: CameraCalibration, sigma_px: float = 1.0
-) -> Observations:
-    """Tracks as the bundle adjustment wants them, in units of sigma_px."""
-    focal = 0.5 * (camera.fx + camera.fy) / sigma_px
+def observations(tracks: Tracks, rays: Sequence[FloatArray], camera: CameraCalibration) -> Observations:
+    """Tracks as the bundle adjustment wants them."""
+    focal = 0.5 * (camera.fx + camera.fy)
     return Observations(tracks.keyframe, tracks.point, gather(tracks, rays), camera.T_cam_body_matrix, focal)
 
 

@@ -91,7 +91,7 @@ def map_views(
             terms = None  # too many views hang on the filter's motions, which had tracks of what no view finds again
         if terms is not None:
             v_world = np.array([v.keyframe.v_world for v in items])
-            made = lay_on_imu(made, motions.T_world_body, v_world, terms, calibration, camera.sigma_px)
+            made = lay_on_imu(made, motions.T_world_body, v_world, terms, calibration)
         part = read_odometry_map(made, [v.keyframe.image for v in items], features, calibration, views.mapping)
         if terms is None:
             part = level(part, motions.T_world_body, calibration)
