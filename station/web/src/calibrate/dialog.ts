@@ -16,7 +16,9 @@ const TITLES: Record<Kind, string> = {
   camera: "Calibrate the camera",
   "camera-imu": "Calibrate camera and IMU",
 };
-const WHAT: [Kind, string][] = [["camera", "Camera: its lens"]];
+const WHAT: [Kind, string][] = [
+  ["camera", "Camera: its lens"],
+];
 const STEPS: Record<Kind, string[]> = {
   camera: [
     "Glue it onto something flat: a board, a window pane. A bent one is noticed and refused.",
