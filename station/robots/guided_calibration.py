@@ -100,11 +100,13 @@ class GuidedCalibration(LinkListeners):
 
     async def start(self, hello: Hello, kind: GuidedKind, board: Target | PrintedBoard) -> CalibrationSession:
         """Begin to look and record; an earlier session is over. Raises Conflict, NotCapable, DataError."""
-        if kind == "camera-imu":  # until it was seen to work from the page to the robot
-            raise NotCapable("camera and IMU are not calibrated here yet; use `station calibrate camera-imu`")
         told = hello.calibration.camera
         if told is None or not hello.capabilities.camera:
             raise NotCapable("this robot has no camera to calibrate")
+        if kind == "camera-imu" and not hello.capabilities.imu:
+            raise NotCapable("this robot has no IMU that the camera could sit on")
+        if kind == "camera-imu" and not told.is_measured:
+            raise Conflict("the camera's lens is a guess; calibrate the camera first")
         if self.is_busy or (self.session is not None and self.session.state == "estimating"):
             raise Conflict("a calibration is going on; finish it, or give it up")
         self._beginning = beginning = _Beginning(hello)

@@ -18,6 +18,7 @@ const TITLES: Record<Kind, string> = {
 };
 const WHAT: [Kind, string][] = [
   ["camera", "Camera: its lens"],
+  ["camera-imu", "Camera and IMU: how they sit"],
 ];
 const STEPS: Record<Kind, string[]> = {
   camera: [
