@@ -1,63 +1,17 @@
 // The guided calibration: what to print, what to show, what came out of it.
 import { call } from "../link/api";
 import type { CalibrationModel, CalibrationSessionModel, JobModel } from "../link/messages";
-import { by, context2d, make, present, setText, show } from "../ui/dom";
+import { by, context2d, make, present, setText } from "../ui/dom";
 import { capitalised } from "../ui/text";
 import { attempt } from "../ui/toast";
-import { drawLooking } from "./overlay";
+import { BoardChoice } from "./board";
+import { after, CHOICES, GUIDED, type Kind } from "./kinds";
 import { mountingOf } from "./mounting";
-import { link, presentOf, progressOf, resultOf } from "./parts";
-
-type Kind = CalibrationSessionModel["kind"];
+import { drawLooking } from "./overlay";
+import { choice, link, presentOf, progressOf, resultOf } from "./parts";
 
 const LEAST_VIEWS = 6;
 const LEAST_TIME = 0.5; // of the seconds that are wanted
-const TITLES: Record<Kind, string> = {
-  camera: "Calibrate the camera",
-  "camera-imu": "Calibrate camera and IMU",
-};
-const WHAT: [Kind, string][] = [
-  ["camera", "Camera: its lens"],
-  ["camera-imu", "Camera and IMU: how they sit"],
-];
-const STEPS: Record<Kind, string[]> = {
-  camera: [
-    "Glue it onto something flat: a board, a window pane. A bent one is noticed and refused.",
-    "Turn the camera's focus ring until the picture is sharp; from now on leave it.",
-    "Hold the board before the camera, and do what the page says.",
-  ],
-  "camera-imu": [
-    "Calibrate the camera first: its lens must be known.",
-    "Fix the board to a wall, flat and in good light. It must not move.",
-    "Take the robot into your hand and wave it before the board for half a minute, as the page says.",
-  ],
-};
-const BEGINNINGS: Record<Kind, string> = {
-  camera: "Hold the board before the camera",
-  "camera-imu": "Hold the robot before the board",
-};
-const ESTIMATING: Record<Kind, string> = {
-  camera: "The camera is being estimated",
-  "camera-imu": "Camera and IMU are being estimated",
-};
-const KINDS: [string, string][] = [
-  ["aprilgrid", "AprilGrid: may be seen in part"],
-  ["charuco", "ChArUco: may be seen in part"],
-  ["chessboard", "Chessboard: must be seen whole"],
-];
-const OTHER = "other";
-const SIZES: [string, string][] = [
-  ["A4", "A4"],
-  ["A3", "A3"],
-  ["Letter", "Letter"],
-  [OTHER, "Another board, measured"],
-];
-const MEASURED: [string, string][] = [
-  ["Columns", "6"],
-  ["Rows", "6"],
-  ["Tag or square, mm", "24"],
-  ["Gap or marker, mm", "7.2"],
-];
 
 /** One dialog, drawn anew for each step; while the board is looked at, only what changes. */
 export class CalibrateDialog {
@@ -65,6 +19,7 @@ export class CalibrateDialog {
   private session: CalibrationSessionModel | null = null;
   private told: CalibrationModel | null = null;
   private step = "";
+  private next: Kind | null = null; // chosen after a result; the session of that is forgotten when this one begins
   private isWaiting = false; // for the station's answer to a button
 
   constructor(
@@ -82,6 +37,7 @@ export class CalibrateDialog {
   async open(): Promise<void> {
     await this.reload();
     this.step = "";
+    this.next = null;
     this.dialog.showModal();
     this.draw();
   }
@@ -89,6 +45,7 @@ export class CalibrateDialog {
   /** The station told how it stands. */
   show(session: CalibrationSessionModel | null): void {
     this.session = session;
+    if (session?.state === "looking") this.next = null; // begun here or on another page
     if (this.dialog.open) this.draw();
   }
 
@@ -107,25 +64,27 @@ export class CalibrateDialog {
     ]);
     this.told = told;
     this.session = sessions[0] ?? null;
+    if (this.session?.state === "looking") this.next = null;
   }
 
   private draw(): void {
-    const step = this.session ? `${this.session.id} ${this.session.state}` : "start";
+    const step = this.next ?? (this.session ? `${this.session.id} ${this.session.state}` : "start");
     if (step !== this.step) {
       this.step = step;
-      const title = this.session ? TITLES[this.session.kind] : "Calibrate";
+      const title = this.session && !this.next ? GUIDED[this.session.kind].title : "Calibrate";
       this.dialog.replaceChildren(make("h2", {}, title), ...this.content(), this.stopping());
     }
     if (this.session?.state === "looking") this.drawProgress(this.session);
   }
 
   private content(): (Node | string)[] {
+    if (this.next) return this.startContent(this.next);
     switch (this.session?.state) {
       case "looking":
         return this.lookingContent(this.session);
       case "estimating":
         return [
-          make("p", { class: "instruction", role: "status" }, ESTIMATING[this.session.kind]),
+          make("p", { class: "instruction", role: "status" }, GUIDED[this.session.kind].estimating),
           make("progress", { class: "estimate", max: "1", value: "0", "aria-label": "Estimate" }),
           this.buttons(this.closing()),
         ];
@@ -137,45 +96,24 @@ export class CalibrateDialog {
     }
   }
 
-  private startContent(): (Node | string)[] {
-    const what = choice("What", WHAT);
-    const kind = choice("Board", KINDS);
-    const size = choice("Paper", SIZES);
-    const print = link("/calibration/target.pdf", "Board to print (PDF)");
-    const measured = MEASURED.map(([, value]) =>
-      make("input", { type: "number", step: "any", min: "1", required: true, value }),
-    );
-    const other = make(
-      "div",
-      { class: "fields" },
-      ...MEASURED.map(([label], i) => make("label", {}, label, measured[i])),
-    );
+  private startContent(chosen: Kind = "camera"): (Node | string)[] {
+    const what = choice("What", CHOICES);
+    what.select.value = chosen;
+    const board = new BoardChoice();
     const steps = make("ol", { class: "steps" });
     const asked = () => what.select.value as Kind;
     const refresh = () => {
-      const printing = make("li", {}, "Print the board at 100 %, and check the ruler on it. ", print);
-      steps.replaceChildren(printing, ...STEPS[asked()].map((step) => make("li", {}, step)));
-      const isOther = size.select.value === OTHER;
-      show(other, isOther);
-      show(print, !isOther);
-      print.href = `/calibration/target.pdf?kind=${kind.select.value}&size=${size.select.value}`;
+      const printing = make("li", {}, "Print the board at 100 %, and check the ruler on it. ", board.print);
+      steps.replaceChildren(printing, ...GUIDED[asked()].steps.map((step) => make("li", {}, step)));
     };
-    for (const { select } of [what, kind, size]) select.addEventListener("change", refresh);
+    what.select.addEventListener("change", refresh);
     refresh();
-    const numbers = () => {
-      const [columns, rows, square = NaN, gap = NaN] = measured.map((input) => Number(input.value));
-      const more = { aprilgrid: { gap_m: gap / 1000 }, charuco: { marker_m: gap / 1000 }, chessboard: {} };
-      return { columns, rows, square_m: square / 1000, ...more[kind.select.value as keyof typeof more] };
-    };
-    const begin = () => {
-      const board = size.select.value === OTHER ? numbers() : { size: size.select.value };
-      const target = { kind: kind.select.value, ...board };
-      return this.change(() => call("POST", "/calibration/sessions", { kind: asked(), target }));
-    };
+    const begin = () =>
+      this.change(() => call("POST", "/calibration/sessions", { kind: asked(), target: board.target }));
     return [
       ...(this.told ? presentOf(this.told) : []),
-      make("div", { class: "fields" }, what.label, kind.label, size.label),
-      other,
+      make("div", { class: "fields" }, what.label),
+      ...board.fields,
       steps,
       this.buttons(this.closing(), this.undoing(), this.button("Begin", begin, "primary")),
     ];
@@ -185,7 +123,7 @@ export class CalibrateDialog {
     const giveUp = () => this.change(() => call("DELETE", `/calibration/sessions/${session.id}`));
     const finish = () => this.change(() => call("POST", `/calibration/sessions/${session.id}/finish`));
     return [
-      make("p", { class: "instruction", role: "status", "aria-live": "polite" }, BEGINNINGS[session.kind]),
+      make("p", { class: "instruction", role: "status", "aria-live": "polite" }, GUIDED[session.kind].beginning),
       make("canvas", { class: "board", width: "640", height: "480", role: "img", "aria-label": "The board, as seen" }),
       make("div", { class: "progress-of" }),
       this.buttons(this.button("Give up", giveUp, "quiet apart"), this.button("Finish", finish, "primary finish")),
@@ -215,6 +153,12 @@ export class CalibrateDialog {
     const result = session.result ?? session.mounting;
     const use = () => this.change(() => call("POST", "/calibration/use", { session: session.id }));
     const isTold = this.isTold(session);
+    const following = after(session.kind);
+    const goOn = () => {
+      this.next = following;
+      this.draw();
+      return Promise.resolve();
+    };
     const again = () => this.change(() => call("DELETE", `/calibration/sessions/${session.id}`));
     return present(
       ...(session.result ? resultOf(session, session.result) : []),
@@ -236,6 +180,7 @@ export class CalibrateDialog {
         this.closing(),
         isTold ? this.undoing() : null,
         result?.accepted && !isTold ? this.button("Use it", use, "primary") : null,
+        isTold && following ? this.button(`Next: ${GUIDED[following].next}`, goOn, "primary") : null,
       ),
     );
   }
@@ -300,11 +245,6 @@ function finishing({ kind, seen }: CalibrationSessionModel): [boolean, string] {
   }
   if (views < LEAST_VIEWS) return [false, `Finish (${views} of ${LEAST_VIEWS} views)`];
   return [true, `Finish (${views} views)`];
-}
-
-function choice(text: string, options: [string, string][]): { select: HTMLSelectElement; label: HTMLElement } {
-  const select = make("select", {}, ...options.map(([value, name]) => make("option", { value }, name)));
-  return { select, label: make("label", {}, text, select) };
 }
 
 function find<T extends HTMLElement>(node: HTMLElement, selector: string, kind: new () => T): T {

@@ -1,0 +1,88 @@
+"""A simulated robot that is built otherwise than it tells, and a script's hands that hold its board and wave it."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+from playwright.async_api import Locator, Page
+
+from shared.simulator_link import SimulatorLink
+from tests.support.board_bench import looked_at
+from tests.support.programs import program, said
+from tests.support.station import Desk
+
+TAG_MM, GAP_MM = 34.0, 10.2  # of the simulator's board, 6 by 6 tags
+BOARD = {"tag_m": TAG_MM / 1000}
+# As a person holds it before the reference robot's camera: distance (m), to the right and down (m), turned (degrees).
+HELD: list[dict[str, float]] = [
+    *({"distance_m": 0.95, "right_m": x, "down_m": y} for x in (-0.16, 0.16) for y in (-0.1, 0.1)),
+    *({"distance_m": 0.8, "pitch_deg": p, "right_m": 0.05} for p in (-30.0, -24.0, 24.0, 30.0)),
+    *({"distance_m": 0.8, "yaw_deg": w, "down_m": 0.04} for w in (-32.0, -25.0, 25.0, 32.0)),
+    *({"distance_m": 0.6, "pitch_deg": p, "yaw_deg": w, "roll_deg": 8.0} for p in (-20.0, 20.0) for w in (-20.0, 20.0)),
+    *({"distance_m": 1.5, "right_m": x, "yaw_deg": 30.0 * x / 0.2} for x in (-0.2, 0.2)),
+]
+
+
+def write_settings(folder: Path, build: dict[str, float]) -> Path:
+    """The settings of a robot that is built so (robot/simulation/config.py, BuildErrors) and keeps its calibration."""
+    settings, config = folder / "simulation.toml", folder / "robot.toml"
+    settings.write_text("[build]\n" + "".join(f"{name} = {value}\n" for name, value in build.items()))
+    config.write_text(
+        f'[simulated]\nworld = "small"\nsettings = "{settings}"\n[calibration]\nfolder = "{folder / "own"}"\n'
+    )
+    return config
+
+
+@asynccontextmanager
+async def new_robot(folder: Path, build: dict[str, float]) -> AsyncIterator[tuple[int, SimulatorLink]]:
+    """The port of a simulated robot that is built otherwise than it tells, and the hands of its simulator."""
+    sim_port = free_port()
+    words = ("--devices", "simulated", "--config", str(write_settings(folder, build)), "--port", "0")
+    async with program("robot.main", *words, "--sim-port", str(sim_port)) as robot:
+        port = int((await said(robot, r"on 127\.0\.0\.1:(\d+)")).group(1))
+        simulator = await asyncio.to_thread(SimulatorLink, sim_port)
+        try:
+            yield port, simulator
+        finally:
+            simulator.close()
+
+
+def free_port() -> int:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+async def hold_everywhere(desk: Desk, simulator: SimulatorLink, nearer: float) -> None:
+    """Each pose until it was looked at, at `nearer` times its distance, as a camera of another view needs it."""
+    for place in HELD:
+        there = place | {"distance_m": nearer * place["distance_m"]}
+        await asyncio.to_thread(simulator.ask, cmd="board", **BOARD, **there)
+        truth = await asyncio.to_thread(simulator.ask, cmd="truth")
+        await looked_at(desk, truth["t_robot_ns"])
+
+
+async def wave(simulator: SimulatorLink, distance_m: float, seconds: float) -> None:
+    """Wave the robot before a board that hangs so far ahead of it."""
+    await asyncio.to_thread(simulator.ask, cmd="wave", **BOARD, distance_m=distance_m, seconds=seconds)
+    await asyncio.sleep(seconds)
+
+
+async def open_dialog(page: Page, address: str) -> Locator:
+    """The page's dialog, opened as a person does."""
+    page.set_default_timeout(90_000)
+    await page.goto(address)
+    await page.wait_for_selector("#video[data-seq]")
+    await page.locator("#calibrate").click()
+    return page.locator("#calibrate-dialog")
+
+
+async def choose_own_board(dialog: Locator) -> None:
+    """The simulator's board is of a size of its own."""
+    await dialog.get_by_label("Paper").select_option("other")
+    for label, value in (("Tag or square, mm", TAG_MM), ("Gap or marker, mm", GAP_MM)):
+        await dialog.get_by_label(label).fill(str(value))
