@@ -10,15 +10,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.async_api import Browser, Locator, expect
+from playwright.async_api import Browser, expect
 
 from robot.simulation.config import BuildErrors
 from robot.simulation.construction import built_camera
 from shared.calibration import REFERENCE_CAMERA
 from shared.geometry import so3_log
-from shared.simulator_link import SimulatorLink
 from tests.e2e.conftest import LAPTOP, PHONE
-from tests.support.new_robot import choose_own_board, hold_everywhere, new_robot, open_dialog, wave
+from tests.support.new_robot import (
+    choose_own_board,
+    hold_everywhere,
+    new_robot,
+    open_dialog,
+    wave_until_all_is_recorded,
+)
 from tests.support.station import running_station
 
 pytestmark = [
@@ -49,7 +54,7 @@ async def test_a_robot_built_otherwise_than_it_tells_is_calibrated_and_tells_its
         await choose_own_board(dialog)
         await dialog.get_by_role("button", name="Begin").click()
         await expect(dialog.get_by_role("button", name="Finish")).to_be_disabled()
-        await hold_everywhere(desk, simulator, built.fx / told.fx)
+        await hold_everywhere(desk.http, simulator, built.fx / told.fx)
         await dialog.get_by_role("button", name="Finish").click()
         await expect(dialog.locator(".verdict")).to_have_text("This calibration is good.", timeout=300_000)
         await dialog.get_by_role("button", name="Use it").click()
@@ -58,21 +63,6 @@ async def test_a_robot_built_otherwise_than_it_tells_is_calibrated_and_tells_its
         assert (fx, fy) == pytest.approx((built.fx, built.fy), rel=0.01)
         assert (cx, cy) == pytest.approx((built.cx, built.cy), abs=8.0)
         assert "intrinsics" in (tmp_path / "own" / "calibration.yaml").read_text()
-
-
-async def wave_until_it_is_recorded_whole(dialog: Locator, simulator: SimulatorLink) -> None:
-    """Begin, wave, finish; again where the computer stood still meanwhile, as the page then asks."""
-    while True:
-        await dialog.get_by_role("button", name="Begin").click()
-        await expect(dialog.get_by_role("list", name="Views")).to_contain_text("roll")
-        finish = dialog.get_by_role("button", name="Finish")
-        await expect(finish).to_be_disabled()
-        await wave(simulator, 0.9, WAVED_S)
-        await finish.click()
-        await expect(dialog.locator(".verdict")).to_be_visible(timeout=300_000)
-        if "the IMU fell silent" not in await dialog.inner_text():
-            return
-        await dialog.get_by_role("button", name="Again").click()
 
 
 async def test_a_robot_whose_camera_sits_otherwise_is_waved_on_a_phones_page_and_tells_how_it_sits(
@@ -88,7 +78,7 @@ async def test_a_robot_whose_camera_sits_otherwise_is_waved_on_a_phones_page_and
         dialog = await open_dialog(page, desk.address)
         await dialog.get_by_label("What").select_option("camera-imu")
         await choose_own_board(dialog)
-        await wave_until_it_is_recorded_whole(dialog, simulator)
+        await wave_until_all_is_recorded(dialog, simulator, 1.0, WAVED_S)
         await expect(dialog.locator(".verdict")).to_have_text("This calibration is good.")
         await expect(dialog).to_contain_text("time shift")
         await dialog.get_by_role("button", name="Use it").click()
@@ -103,4 +93,4 @@ async def test_a_robot_whose_camera_sits_otherwise_is_waved_on_a_phones_page_and
         # The board is known from now on, also to a page that is opened anew.
         dialog = await open_dialog(page, desk.address)
         await dialog.get_by_role("button", name="Again").click()
-        await expect(dialog.get_by_label("Tag or square, mm")).to_have_value("34")
+        await expect(dialog.get_by_label("Tag or square, mm")).to_have_value("34.0")

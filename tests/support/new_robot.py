@@ -8,15 +8,16 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 
-from playwright.async_api import Locator, Page
+import httpx
+from playwright.async_api import Locator, Page, expect
 
 from shared.simulator_link import SimulatorLink
 from tests.support.board_bench import looked_at
 from tests.support.programs import program, said
-from tests.support.station import Desk
 
 TAG_MM, GAP_MM = 34.0, 10.2  # of the simulator's board, 6 by 6 tags
 BOARD = {"tag_m": TAG_MM / 1000}
+WAVED_AT_M = 0.9  # before the reference robot's camera
 # As a person holds it before the reference robot's camera: distance (m), to the right and down (m), turned (degrees).
 HELD: list[dict[str, float]] = [
     *({"distance_m": 0.95, "right_m": x, "down_m": y} for x in (-0.16, 0.16) for y in (-0.1, 0.1)),
@@ -57,19 +58,31 @@ def free_port() -> int:
         return int(one.getsockname()[1])
 
 
-async def hold_everywhere(desk: Desk, simulator: SimulatorLink, nearer: float) -> None:
+async def hold_everywhere(http: httpx.AsyncClient, simulator: SimulatorLink, nearer: float) -> None:
     """Each pose until it was looked at, at `nearer` times its distance, as a camera of another view needs it."""
     for place in HELD:
         there = place | {"distance_m": nearer * place["distance_m"]}
         await asyncio.to_thread(simulator.ask, cmd="board", **BOARD, **there)
         truth = await asyncio.to_thread(simulator.ask, cmd="truth")
-        await looked_at(desk, truth["t_robot_ns"])
+        await looked_at(http, truth["t_robot_ns"])
+    await asyncio.to_thread(simulator.ask, cmd="board", gone=True)
 
 
-async def wave(simulator: SimulatorLink, distance_m: float, seconds: float) -> None:
-    """Wave the robot before a board that hangs so far ahead of it."""
-    await asyncio.to_thread(simulator.ask, cmd="wave", **BOARD, distance_m=distance_m, seconds=seconds)
-    await asyncio.sleep(seconds)
+async def wave_until_all_is_recorded(dialog: Locator, simulator: SimulatorLink, nearer: float, seconds: float) -> None:
+    """Begin, wave, finish; again where the computer stood still meanwhile, as the page then asks."""
+    while True:
+        await dialog.get_by_role("button", name="Begin").click()
+        await expect(dialog.get_by_role("list", name="Views")).to_contain_text("roll")
+        finish = dialog.get_by_role("button", name="Finish")
+        await expect(finish).to_be_disabled()
+        await asyncio.to_thread(simulator.ask, cmd="wave", distance_m=WAVED_AT_M * nearer, seconds=seconds, **BOARD)
+        await asyncio.sleep(seconds)
+        await finish.click()
+        await expect(dialog.locator(".verdict")).to_be_visible(timeout=300_000)
+        await asyncio.to_thread(simulator.ask, cmd="board", gone=True)
+        if "the IMU fell silent" not in await dialog.inner_text():
+            return
+        await dialog.get_by_role("button", name="Again").click()
 
 
 async def open_dialog(page: Page, address: str) -> Locator:
