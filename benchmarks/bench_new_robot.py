@@ -25,6 +25,7 @@ from typing import Any
 
 import httpx
 import numpy as np
+from playwright.async_api import Error as PlaywrightError
 from playwright.async_api import Locator, ViewportSize, async_playwright, expect
 
 from benchmarks.bench_mapping import parse_seeds
@@ -50,6 +51,7 @@ from tests.support.new_robot import (
     choose_own_board,
     hold_everywhere,
     open_dialog,
+    stand_in_the_open,
     wave_until_all_is_recorded,
     write_settings,
 )
@@ -75,7 +77,7 @@ def go_the_way(seed: int) -> dict[str, Any]:
             row |= {"passed": verdict.passed, "right": verdict.right, "wrong": verdict.wrong}
             row |= {"not_known": verdict.not_known, "map_error_m": verdict.map_error_m}
             row["after"] = demo.station.get("/robot")["calibration_fit"]
-        except (RobotSystemError, AssertionError) as exc:
+        except (RobotSystemError, PlaywrightError, AssertionError) as exc:
             row["ended"] = str(exc)[:500]
     return row | {"seconds": round(time.monotonic() - begun_s)}
 
@@ -110,6 +112,7 @@ async def calibrate_on_the_page(demo: Demo, seed: int) -> dict[str, Any]:
         said = await dialog.inner_text()
         await choose_own_board(dialog)
         await dialog.get_by_role("button", name="Begin").click()
+        await stand_in_the_open(http, demo.simulator, nearer)
         await hold_everywhere(http, demo.simulator, nearer)
         await dialog.get_by_role("button", name="Finish").click()
         await use(dialog, "camera")

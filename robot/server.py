@@ -20,6 +20,7 @@ from robot.devices.ports import DeviceSet
 from robot.doorstep import Doorstep
 from robot.head import STEP_S, CameraHead
 from robot.health import CpuMeter, read_temperatures
+from robot.measured_motors import MeasuredMotors
 from robot.outbox import ImuBacklog, ImuCursor
 from robot.own_calibration import OwnCalibration, summary
 from robot.recompress import Recompressor
@@ -88,7 +89,11 @@ class RobotServer:
         self._config = config
         self._now_ns = now_ns
         self._loop: asyncio.AbstractEventLoop | None = None
-        self.watchdog = None if devices.motors is None else MotorWatchdog(devices.motors, self._report_from_thread)
+        self.calibration = calibration or OwnCalibration(None, devices.calibration)
+        self.watchdog = None
+        if devices.motors is not None:
+            motors = MeasuredMotors(devices.motors, lambda: self.calibration.current.wheel_factors)
+            self.watchdog = MotorWatchdog(motors, self._report_from_thread)
         self.desk = CommandDesk(devices, self.watchdog, config.drive)
         self.faults = Faults(self._broadcast_fault)
         self._recompressor = Recompressor(self._wake_all, now_ns)
@@ -103,7 +108,6 @@ class RobotServer:
         if not starts_with_first_station:
             self._may_start.set()
         self._cpu = CpuMeter()
-        self.calibration = calibration or OwnCalibration(None, devices.calibration)
         self._tasks: asyncio.TaskGroup | None = None
         self._is_recalibrating = False
 

@@ -1,4 +1,4 @@
-"""`calibration.yaml`: all that is known of one robot's sensors in one file, written and read by robot and station.
+"""`calibration.yaml`: all that is known of one robot's sensors and wheels, written and read by robot and station.
 
 Its sections `camera` and `imu` have the keys of our `camera.yaml` and of EuRoC's `sensor.yaml`.
 """
@@ -9,14 +9,16 @@ import math
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import yaml
 
-from shared.calibration import Calibration, CameraCalibration, ImuNoise
+from shared.calibration import Calibration, CameraCalibration, ImuNoise, WheelCalibration
 from shared.errors import ConfigError, DataError
 from shared.sensor_yaml import number, read_camera, read_imu_noise, read_rig, read_yaml
 
 IMU_HEAD = "# Noise of an inertial unit in continuous time, SI units (docs/calibration.md).\n"
 HEAD = "# What is known of this robot's sensors (docs/robot.md). t_imu = t_cam + time_shift_s.\n"
+WHEELS = ("speed", "turn")  # keys of the section `wheels`
 PREVIOUS = "previous"  # the section of the calibration before: one file, so that both change at once or not at all
 
 
@@ -38,6 +40,8 @@ def _content(calibration: Calibration) -> dict[str, Any]:
         content["camera"] = camera_content(calibration.camera)
     if calibration.imu is not None:
         content["imu"] = _imu_content(calibration.imu)
+    if isinstance(calibration.wheels, WheelCalibration):
+        content["wheels"] = {key: float(getattr(calibration.wheels, key)) for key in WHEELS}
     return content
 
 
@@ -94,10 +98,10 @@ def read_previous(path: Path) -> Calibration | None:
 
 def as_calibration(content: dict[str, Any], path: Path) -> Calibration:
     """A file's mapping as a calibration; `path` is what its errors call it. Raises DataError."""
-    sections = {name: _section(content, name, path) for name in ("camera", "imu")}
+    sections = {name: _section(content, name, path) for name in ("camera", "imu", "wheels")}
     if sections["camera"] is None and sections["imu"] is None:
         raise DataError(f"{path} has neither a camera nor an imu section; it is no calibration.yaml")
-    camera, imu = sections["camera"], sections["imu"]
+    camera, imu, wheels = sections["camera"], sections["imu"], sections["wheels"]
     try:
         return Calibration(
             camera=None if camera is None else read_camera(path, camera),
@@ -105,6 +109,9 @@ def as_calibration(content: dict[str, Any], path: Path) -> Calibration:
             robot_kind=str(content.get("robot_kind", "generic")),
             gravity=number(content, "gravity", 9.81, path),
             rig=read_rig(content, path),
+            wheels=msgspec.UNSET
+            if wheels is None
+            else WheelCalibration(**{k: number(wheels, k, 1.0, path) for k in WHEELS}),
         )
     except ConfigError as exc:
         raise DataError(f"{path}: {exc}") from exc

@@ -116,7 +116,8 @@ async def sessions(robot: RobotDep) -> list[CalibrationSessionModel]:
 )
 async def begin(order: SessionOrder, robot: RobotDep) -> CalibrationSessionModel:
     """From now on what the robot sends is recorded, and the board is looked for in its newest pictures."""
-    return session_model(await robot.start_calibration(order.kind, ordered_board(order.target)))
+    board = None if order.target is None else ordered_board(order.target)
+    return session_model(await robot.start_calibration(order.kind, board))
 
 
 @of_robot.get("/calibration/sessions/{session_id}", summary="One guided calibration", responses=responses(404))

@@ -50,6 +50,16 @@ IMU_MISSING = "Samples of the IMU are missing"
 RECORD_AGAIN = "see that nothing else keeps the robot busy, and record again"
 
 
+def is_drive(linear_m: float, largest_rad_s: float) -> bool:
+    """Whether these commands are a straight way, far enough to compare."""
+    return abs(linear_m) > LEAST_WAY_M and largest_rad_s < MIN_COMMAND
+
+
+def is_turn(angular_rad: float, largest_m_s: float) -> bool:
+    """Whether these commands are a turn on the spot, far enough to compare."""
+    return abs(angular_rad) > LEAST_TURN_RAD and largest_m_s < MIN_COMMAND
+
+
 @dataclass(frozen=True, slots=True)
 class Move:
     """Commands between two rests: what was commanded and what came of it."""
@@ -66,12 +76,12 @@ class Move:
     @property
     def is_drive(self) -> bool:
         """Straight on or back, far enough to compare."""
-        return abs(self.linear_m) > LEAST_WAY_M and self.command_rad_s < MIN_COMMAND
+        return is_drive(self.linear_m, self.command_rad_s)
 
     @property
     def is_turn(self) -> bool:
         """On the spot, far enough to compare."""
-        return abs(self.angular_rad) > LEAST_TURN_RAD and self.command_m_s < MIN_COMMAND
+        return is_turn(self.angular_rad, self.command_m_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,16 +167,12 @@ def _moves(
     poses: list[FloatArray | None],
 ) -> tuple[Move, ...]:
     """What happened between each rest and the next; not where the IMU was silent meanwhile."""
-    t_ns = np.array([d.t_robot_ns for d in drive])
-    commands = np.array([[d.linear_m_s, d.angular_rad_s] for d in drive])
+    told = Commands(drive)
     found = []
     for k, ((_, begin), (end, _)) in enumerate(pairwise(rests)):
         if _has_gap(imu_t_ns, begin, end):
             continue
-        held = slice(np.searchsorted(t_ns, begin), np.searchsorted(t_ns, end))
-        until = np.append(t_ns[held][1:], min(end, t_ns[held.stop] if held.stop < len(t_ns) else end))
-        total = (commands[held] * ((until - t_ns[held]) * 1e-9)[:, None]).sum(axis=0)
-        largest = np.abs(commands[held]).max(axis=0)
+        total, largest = told.between(begin, end)
         found.append(
             Move(
                 begin,
@@ -180,6 +186,22 @@ def _moves(
             )
         )
     return tuple(found)
+
+
+class Commands:
+    """What the motors were told, each command until the next one."""
+
+    def __init__(self, drive: Sequence[DriveSample]) -> None:
+        self._t_ns = np.array([d.t_robot_ns for d in drive])
+        self._told = np.array([[d.linear_m_s, d.angular_rad_s] for d in drive])
+
+    def between(self, begin_ns: int, end_ns: int) -> tuple[FloatArray, FloatArray]:
+        """Of the commands given from one time to another: their integral (m, rad) and the largest (m/s, rad/s)."""
+        t_ns = self._t_ns
+        held = slice(np.searchsorted(t_ns, begin_ns), np.searchsorted(t_ns, end_ns))
+        until = np.append(t_ns[held][1:], min(end_ns, t_ns[held.stop] if held.stop < len(t_ns) else end_ns))
+        total = (self._told[held] * ((until - t_ns[held]) * 1e-9)[:, None]).sum(axis=0)
+        return total, np.abs(self._told[held]).max(axis=0)
 
 
 def _felt(rests: list[tuple[int, int]], t_ns: IntArray) -> list[tuple[int, int]]:

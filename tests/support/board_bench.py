@@ -62,15 +62,21 @@ class Showing:
             await looked_at(desk.http, time.monotonic_ns())
 
 
-async def looked_at(http: httpx.AsyncClient, t_robot_ns: int) -> None:
-    """Until three pictures from this time on were looked at: one may be on its way, two show that it is still."""
+async def looked_at(http: httpx.AsyncClient, t_robot_ns: int) -> dict[str, Any]:
+    """Until three pictures from this time on were looked at: one may be on its way, two show that it is still.
+
+    Returns what the newest shows.
+    """
     looks: set[int] = set()
+    seen: dict[str, Any] | None = None
     while len(looks) < 3:
         [session] = (await http.get("/calibration/sessions")).json()
         seen = session["seen"]
         if seen is not None and seen["t_robot_ns"] > t_robot_ns:
             looks.add(seen["t_robot_ns"])
         await asyncio.sleep(0.05)
+    assert seen is not None
+    return seen
 
 
 def _jpeg(image: Any) -> bytes:

@@ -6,11 +6,14 @@ import asyncio
 import socket
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from itertools import product
 from pathlib import Path
 
 import httpx
+import numpy as np
 from playwright.async_api import Locator, Page, expect
 
+from shared.errors import ConfigError
 from shared.simulator_link import SimulatorLink
 from tests.support.board_bench import looked_at
 from tests.support.programs import program, said
@@ -18,6 +21,8 @@ from tests.support.programs import program, said
 TAG_MM, GAP_MM = 34.0, 10.2  # of the simulator's board, 6 by 6 tags
 BOARD = {"tag_m": TAG_MM / 1000}
 WAVED_AT_M = 0.9  # before the reference robot's camera
+STEP_BACK_M = 0.4  # from the middle of a room
+SEEN_WHOLE = 120  # of the board's 144 corners
 # As a person holds it before the reference robot's camera: distance (m), to the right and down (m), turned (degrees).
 HELD: list[dict[str, float]] = [
     *({"distance_m": 0.95, "right_m": x, "down_m": y} for x in (-0.16, 0.16) for y in (-0.1, 0.1)),
@@ -26,6 +31,8 @@ HELD: list[dict[str, float]] = [
     *({"distance_m": 0.6, "pitch_deg": p, "yaw_deg": w, "roll_deg": 8.0} for p in (-20.0, 20.0) for w in (-20.0, 20.0)),
     *({"distance_m": 1.5, "right_m": x, "yaw_deg": 30.0 * x / 0.2} for x in (-0.2, 0.2)),
 ]
+
+WAYS_OFF_M = [place["distance_m"] for place in HELD]
 
 
 def write_settings(folder: Path, build: dict[str, float]) -> Path:
@@ -56,6 +63,25 @@ def free_port() -> int:
     with socket.socket() as one:
         one.bind(("127.0.0.1", 0))
         return int(one.getsockname()[1])
+
+
+async def stand_in_the_open(http: httpx.AsyncClient, simulator: SimulatorLink, nearer: float) -> None:
+    """Carry the robot to where nothing hides a board before it, as somebody would; a session must look meanwhile."""
+    rooms = (await asyncio.to_thread(simulator.ask, cmd="flat"))["rooms"]
+    for room, yaw in product(rooms, np.radians([0.0, 90.0, 180.0, 270.0]).tolist()):
+        x = 0.5 * (room["x0_m"] + room["x1_m"]) - STEP_BACK_M * np.cos(yaw)
+        y = 0.5 * (room["y0_m"] + room["y1_m"]) - STEP_BACK_M * np.sin(yaw)
+        try:
+            put = await asyncio.to_thread(simulator.ask, cmd="hijack", x=float(x), y=float(y), yaw=yaw)
+        except ConfigError:
+            continue  # something stands there
+        while (await asyncio.to_thread(simulator.ask, cmd="truth"))["t_robot_ns"] < put["t_end_ns"]:
+            await asyncio.sleep(0.1)
+        await asyncio.to_thread(simulator.ask, cmd="board", **BOARD, distance_m=nearer * max(WAYS_OFF_M))
+        truth = await asyncio.to_thread(simulator.ask, cmd="truth")
+        if len((await looked_at(http, truth["t_robot_ns"]))["corners_px"]) > SEEN_WHOLE:
+            return
+    raise ConfigError("in this flat is no place for a board before the robot")
 
 
 async def hold_everywhere(http: httpx.AsyncClient, simulator: SimulatorLink, nearer: float) -> None:
