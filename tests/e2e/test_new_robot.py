@@ -93,4 +93,5 @@ async def test_a_robot_whose_camera_sits_otherwise_is_waved_on_a_phones_page_and
         # The board is known from now on, also to a page that is opened anew.
         dialog = await open_dialog(page, desk.address)
         await dialog.get_by_role("button", name="Again").click()
+        await expect(dialog.get_by_label("What")).to_have_value("camera-imu")
         await expect(dialog.get_by_label("Tag or square, mm")).to_have_value("34.0")

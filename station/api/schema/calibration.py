@@ -8,6 +8,7 @@ import msgspec
 from pydantic import Field, model_validator
 
 from shared.calibration import Calibration, CameraCalibration, ImuNoise
+from shared.calibration_yaml import calibration_text
 from shared.errors import ConfigError
 from station.api.schema.base import Model, Number, Question
 from station.api.schema.robot import CalibrationFitModel, calibration_fit_model
@@ -297,6 +298,7 @@ class CalibrationSessionModel(Model):
     mounting: MountingResult | None = Field(description="the result of kind camera-imu")
     wheels: WheelsResult | None = Field(description="the result of kind wheels")
     imu: ImuResult | None = Field(description="the result of kind imu")
+    is_used: bool = Field(description="the robot tells this result now")
     recording: str = Field(description="the path of what was recorded")
 
 
@@ -318,8 +320,8 @@ def calibration_model(robot: RobotSession) -> CalibrationModel:
     )
 
 
-def session_model(session: CalibrationSession) -> CalibrationSessionModel:
-    seen, camera = session.seen, session.told.camera
+def session_model(session: CalibrationSession, robot: RobotSession) -> CalibrationSessionModel:
+    seen, camera, hello = session.seen, session.told.camera, robot.state.hello
     return CalibrationSessionModel.of(
         session,
         resolution=[] if camera is None else [camera.width, camera.height],
@@ -328,6 +330,7 @@ def session_model(session: CalibrationSession) -> CalibrationSessionModel:
         mounting=_result(session, "camera-imu", MountingResult),
         wheels=_result(session, "wheels", WheelsResult),
         imu=_result(session, "imu", ImuResult),
+        is_used=hello is not None and _is_used(session, hello.calibration),
         recording=f"/calibration/sessions/{session.id}/{RECORDING}",
     )
 
@@ -358,6 +361,16 @@ def ordered_board(order: TargetOrder) -> Target | PrintedBoard:
         return Target(order.kind, order.columns, order.rows, order.square_m, gap_m=order.gap_m, marker_m=order.marker_m)
     except ConfigError as exc:
         raise OutOfRange(str(exc)) from exc
+
+
+def _is_used(session: CalibrationSession, told: Calibration) -> bool:
+    """Whether using it would change nothing, by the words of the robot's file."""
+    if session.result is None or not session.result["accepted"]:
+        return False
+    try:
+        return calibration_text(ordered_calibration(told, order_of_result(session))) == calibration_text(told)
+    except (Conflict, OutOfRange):
+        return False
 
 
 def order_of_result(session: CalibrationSession) -> CalibrationOrder:

@@ -32,7 +32,7 @@ interface Kept {
 /** The fields of a form, and what they come to. */
 export class BoardChoice {
   readonly print = link("", "Board to print (PDF)");
-  readonly fields: HTMLElement[];
+  readonly node: HTMLElement;
   private readonly kind = choice("Board", KINDS);
   private readonly size = choice("Paper", SIZES);
   private readonly measured = MEASURED.map(([, value]) =>
@@ -51,7 +51,7 @@ export class BoardChoice {
       this.size.select.value = kept.size;
       this.measured.forEach((input, i) => (input.value = kept.measured[i] ?? input.value));
     }
-    this.fields = [make("div", { class: "fields" }, this.kind.label, this.size.label), this.other];
+    this.node = make("div", {}, make("div", { class: "fields" }, this.kind.label, this.size.label), this.other);
     for (const input of [this.kind.select, this.size.select, ...this.measured])
       input.addEventListener("change", () => this.changed());
     this.refresh();

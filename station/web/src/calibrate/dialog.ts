@@ -1,17 +1,19 @@
 // The guided calibration: what to print, what to show, what came out of it.
 import { call } from "../link/api";
 import type { CalibrationModel, CalibrationSessionModel, JobModel } from "../link/messages";
-import { by, context2d, make, present, setText } from "../ui/dom";
-import { capitalised } from "../ui/text";
+import { by, context2d, make, present, setText, show } from "../ui/dom";
+import { capitalised, count } from "../ui/text";
 import { attempt } from "../ui/toast";
 import { BoardChoice } from "./board";
 import { after, CHOICES, GUIDED, type Kind } from "./kinds";
 import { mountingOf } from "./mounting";
+import { imuOf, wheelsOf } from "./outcome";
 import { drawLooking } from "./overlay";
 import { choice, link, presentOf, progressOf, resultOf } from "./parts";
 
-const LEAST_VIEWS = 6;
-const LEAST_TIME = 0.5; // of the seconds that are wanted
+interface Outcome {
+  accepted: boolean;
+}
 
 /** One dialog, drawn anew for each step; while the board is looked at, only what changes. */
 export class CalibrateDialog {
@@ -19,11 +21,13 @@ export class CalibrateDialog {
   private session: CalibrationSessionModel | null = null;
   private told: CalibrationModel | null = null;
   private step = "";
+  private newest: Kind = "camera"; // what was begun last: "Again" is of the same
   private next: Kind | null = null; // chosen after a result; the session of that is forgotten when this one begins
   private isWaiting = false; // for the station's answer to a button
 
   constructor(
     private readonly video: HTMLCanvasElement,
+    private readonly pad: HTMLElement,
     private readonly stop: (say: (text: string) => void) => void,
   ) {
     by("calibrate").addEventListener("click", () => attempt(() => this.open()));
@@ -44,8 +48,7 @@ export class CalibrateDialog {
 
   /** The station told how it stands. */
   show(session: CalibrationSessionModel | null): void {
-    this.session = session;
-    if (session?.state === "looking") this.next = null; // begun here or on another page
+    this.take(session);
     if (this.dialog.open) this.draw();
   }
 
@@ -63,8 +66,13 @@ export class CalibrateDialog {
       call<CalibrationSessionModel[]>("GET", "/calibration/sessions"),
     ]);
     this.told = told;
-    this.session = sessions[0] ?? null;
-    if (this.session?.state === "looking") this.next = null;
+    this.take(sessions[0] ?? null);
+  }
+
+  private take(session: CalibrationSessionModel | null): void {
+    this.session = session;
+    if (session) this.newest = session.kind;
+    if (session?.state === "looking") this.next = null; // begun here or on another page
   }
 
   private draw(): void {
@@ -92,28 +100,32 @@ export class CalibrateDialog {
       case "failed":
         return this.resultContent(this.session);
       default:
-        return this.startContent();
+        return this.startContent(this.newest);
     }
   }
 
-  private startContent(chosen: Kind = "camera"): (Node | string)[] {
+  private startContent(chosen: Kind): (Node | string)[] {
     const what = choice("What", CHOICES);
     what.select.value = chosen;
     const board = new BoardChoice();
     const steps = make("ol", { class: "steps" });
     const asked = () => what.select.value as Kind;
     const refresh = () => {
+      const guided = GUIDED[asked()];
       const printing = make("li", {}, "Print the board at 100 %, and check the ruler on it. ", board.print);
-      steps.replaceChildren(printing, ...GUIDED[asked()].steps.map((step) => make("li", {}, step)));
+      show(board.node, guided.looks);
+      steps.replaceChildren(...present(guided.looks && printing, ...guided.steps.map((step) => make("li", {}, step))));
     };
     what.select.addEventListener("change", refresh);
     refresh();
-    const begin = () =>
-      this.change(() => call("POST", "/calibration/sessions", { kind: asked(), target: board.target }));
+    const begin = () => {
+      const target = GUIDED[asked()].looks ? board.target : null;
+      return this.change(() => call("POST", "/calibration/sessions", { kind: asked(), target }));
+    };
     return [
       ...(this.told ? presentOf(this.told) : []),
       make("div", { class: "fields" }, what.label),
-      ...board.fields,
+      board.node,
       steps,
       this.buttons(this.closing(), this.undoing(), this.button("Begin", begin, "primary")),
     ];
@@ -122,12 +134,25 @@ export class CalibrateDialog {
   private lookingContent(session: CalibrationSessionModel): (Node | string)[] {
     const giveUp = () => this.change(() => call("DELETE", `/calibration/sessions/${session.id}`));
     const finish = () => this.change(() => call("POST", `/calibration/sessions/${session.id}/finish`));
-    return [
-      make("p", { class: "instruction", role: "status", "aria-live": "polite" }, GUIDED[session.kind].beginning),
-      make("canvas", { class: "board", width: "640", height: "480", role: "img", "aria-label": "The board, as seen" }),
+    const guided = GUIDED[session.kind];
+    return present(
+      make("p", { class: "instruction", role: "status", "aria-live": "polite" }, guided.beginning),
+      guided.looks &&
+        make("canvas", {
+          class: "board",
+          width: "640",
+          height: "480",
+          role: "img",
+          "aria-label": "The board, as seen",
+        }),
       make("div", { class: "progress-of" }),
-      this.buttons(this.button("Give up", giveUp, "quiet apart"), this.button("Finish", finish, "primary finish")),
-    ];
+      session.kind === "wheels" && this.pad,
+      this.buttons(
+        this.button("Give up", giveUp, "quiet apart"),
+        session.kind === "imu" && this.closing(),
+        this.button("Finish", finish, "primary finish"),
+      ),
+    );
   }
 
   private drawProgress(session: CalibrationSessionModel): void {
@@ -137,9 +162,8 @@ export class CalibrateDialog {
       find(this.dialog, ".progress-of", HTMLElement).replaceChildren(...progressOf(seen, session.kind));
     }
     const finish = find(this.dialog, ".finish", HTMLButtonElement);
-    const [isEnough, text] = finishing(session);
-    finish.disabled = this.isWaiting || !isEnough;
-    setText(finish, text);
+    finish.disabled = this.isWaiting || !seen?.may_finish;
+    setText(finish, finishText(session));
   }
 
   private drawPicture(): void {
@@ -150,9 +174,9 @@ export class CalibrateDialog {
   }
 
   private resultContent(session: CalibrationSessionModel): (Node | string)[] {
-    const result = session.result ?? session.mounting;
+    const result = outcomeOf(session);
     const use = () => this.change(() => call("POST", "/calibration/use", { session: session.id }));
-    const isTold = this.isTold(session);
+    const isTold = session.is_used;
     const following = after(session.kind);
     const goOn = () => {
       this.next = following;
@@ -163,6 +187,8 @@ export class CalibrateDialog {
     return present(
       ...(session.result ? resultOf(session, session.result) : []),
       ...(session.mounting ? mountingOf(session, session.mounting) : []),
+      ...(session.wheels ? wheelsOf(session, session.wheels) : []),
+      ...(session.imu ? imuOf(session, session.imu) : []),
       ...(result ? [] : [make("p", { class: "verdict bad", role: "status" }, capitalised(session.message))]),
       isTold &&
         make("p", { class: "note", role: "status" }, "The robot tells these numbers now; the ones before are kept."),
@@ -172,7 +198,9 @@ export class CalibrateDialog {
         make("span", { class: "note" }, "Download"),
         result?.accepted && link(`/calibration/sessions/${session.id}/result.json`, "Result", "result.json"),
         isTold && link("/calibration/file", "calibration.yaml", "calibration.yaml"),
-        isTold && link("/calibration/file?format=camchain", "kalibr", "camchain-imucam.yaml"),
+        isTold &&
+          GUIDED[session.kind].looks &&
+          link("/calibration/file?format=camchain", "kalibr", "camchain-imucam.yaml"),
         link(session.recording, "Recording", "recording.mcap"),
       ),
       this.buttons(
@@ -183,13 +211,6 @@ export class CalibrateDialog {
         isTold && following ? this.button(`Next: ${GUIDED[following].next}`, goOn, "primary") : null,
       ),
     );
-  }
-
-  private isTold(session: CalibrationSessionModel): boolean {
-    const camera = this.told?.camera;
-    const result = session.result ?? session.mounting;
-    if (!camera || !result || String(camera.intrinsics) !== String(result.intrinsics)) return false;
-    return !session.mounting || String(camera.T_body_cam) === String(session.mounting.T_body_cam);
   }
 
   private undoing(): HTMLElement | null {
@@ -217,7 +238,7 @@ export class CalibrateDialog {
     return make("button", { type: "button", class: kind, onclick: () => attempt(act) }, text);
   }
 
-  private buttons(...children: (Node | null)[]): HTMLElement {
+  private buttons(...children: (Node | null | false)[]): HTMLElement {
     return make("div", { class: "row end wrap" }, ...children);
   }
 
@@ -236,16 +257,15 @@ export class CalibrateDialog {
   }
 }
 
-/** Whether there may be enough to estimate from, and what the button says. */
-function finishing({ kind, seen }: CalibrationSessionModel): [boolean, string] {
+/** How many views or moves count, on the button. */
+function finishText({ kind, seen }: CalibrationSessionModel): string {
   const views = seen?.num_views ?? 0;
-  if (kind === "camera-imu") {
-    const time = seen?.poses.time ?? 0;
-    return [time >= LEAST_TIME, time >= LEAST_TIME ? "Finish" : `Finish (${Math.floor(100 * time)} %)`];
-  }
-  if (views < LEAST_VIEWS) return [false, `Finish (${views} of ${LEAST_VIEWS} views)`];
-  return [true, `Finish (${views} views)`];
+  return kind === "camera" ? `Finish (${count(views, "view")})` : "Finish";
 }
+
+/** What it came to, whatever was calibrated. */
+const outcomeOf = (session: CalibrationSessionModel): Outcome | null =>
+  session.result ?? session.mounting ?? session.wheels ?? session.imu;
 
 function find<T extends HTMLElement>(node: HTMLElement, selector: string, kind: new () => T): T {
   const found = node.querySelector(selector);

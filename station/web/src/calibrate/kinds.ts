@@ -11,6 +11,7 @@ interface Guided {
   beginning: string; // until the first picture was looked at
   estimating: string;
   bars: [name: string, text: string][]; // of what is wanted, and what the station calls it
+  looks: boolean; // at a board; otherwise there is none, and no picture
 }
 
 export const GUIDED: Record<Kind, Guided> = {
@@ -34,6 +35,7 @@ export const GUIDED: Record<Kind, Guided> = {
       ["upper", "upper edge"],
       ["lower", "lower edge"],
     ],
+    looks: true,
   },
   "camera-imu": {
     title: "Calibrate camera and IMU",
@@ -53,10 +55,44 @@ export const GUIDED: Record<Kind, Guided> = {
       ["distance", "near, far"],
       ["time", "time"],
     ],
+    looks: true,
+  },
+  wheels: {
+    title: "Measure the wheels",
+    what: "Wheels: how far a command carries",
+    next: "wheels",
+    steps: [
+      "Calibrate the camera first: it is the judge.",
+      "Hang the board at the camera's height, and put the robot a metre before it, with half a metre free all around, on the floor it will live on.",
+      "Hold the buttons to drive straight on, back, and to turn on the spot, as the page says. Let it rest two seconds after each.",
+    ],
+    beginning: "Put the robot before the board",
+    estimating: "The wheels are being measured",
+    bars: [
+      ["forth", "straight on"],
+      ["back", "straight back"],
+      ["left", "turns left"],
+      ["right", "turns right"],
+    ],
+    looks: true,
+  },
+  imu: {
+    title: "Measure the IMU",
+    what: "IMU: its noise at rest",
+    next: "IMU",
+    steps: [
+      "Switch the robot on ten minutes before: a cold sensor drifts.",
+      "Put it on the floor or a heavy table, motors off, where nobody walks.",
+      "Leave it alone for half an hour; a minute tells the white noise. You may close this page meanwhile.",
+    ],
+    beginning: "Leave the robot alone",
+    estimating: "The noise is being estimated",
+    bars: [["time", "at rest"]],
+    looks: false,
   },
 };
 
-const ORDER: Kind[] = ["camera", "camera-imu"];
+const ORDER: Kind[] = ["camera", "camera-imu", "wheels", "imu"];
 
 export const CHOICES: [Kind, string][] = ORDER.map((kind) => [kind, GUIDED[kind].what]);
 

@@ -25,6 +25,8 @@ export function choice(text: string, options: [string, string][]): { select: HTM
 
 export const fixed = (value: number | null | undefined, digits: number): string => value?.toFixed(digits) ?? "?";
 
+export const row = (name: string, value: string): HTMLElement[] => [make("dt", {}, name), make("dd", {}, value)];
+
 /** How full something is, as a bar with its name. */
 function bar(text: string, share: number, note = ""): HTMLElement {
   const value = String(Math.min(1, share));
