@@ -6,25 +6,29 @@ All the way, with the drives before and after and the place at the end: `python 
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 
 import numpy as np
 import pytest
 from playwright.async_api import Browser, expect
 
-from robot.simulation.config import BuildErrors
+from robot.simulation.config import BodyParameters, BuildErrors
 from robot.simulation.construction import built_camera
-from shared.calibration import REFERENCE_CAMERA
+from shared.calibration import REFERENCE_CAMERA, REFERENCE_IMU
 from shared.geometry import so3_log
+from shared.simulator_link import SimulatorLink
 from tests.e2e.conftest import LAPTOP, PHONE
 from tests.support.new_robot import (
     choose_own_board,
+    drive_as_told,
     hold_everywhere,
     new_robot,
     open_dialog,
+    stand_in_the_open,
     wave_until_all_is_recorded,
 )
-from tests.support.station import running_station
+from tests.support.station import Desk, running_station
 
 pytestmark = [
     pytest.mark.browser,
@@ -95,3 +99,67 @@ async def test_a_robot_whose_camera_sits_otherwise_is_waved_on_a_phones_page_and
         await dialog.get_by_role("button", name="Again").click()
         await expect(dialog.get_by_label("What")).to_have_value("camera-imu")
         await expect(dialog.get_by_label("Tag or square, mm")).to_have_value("34.0")
+
+
+async def test_the_wheels_are_driven_in_the_dialog_measured_and_do_as_they_are_told_from_then_on(
+    browser: Browser, tmp_path: Path
+) -> None:
+    async with (
+        new_robot(tmp_path, {}) as (port, simulator),
+        running_station(port, tmp_path / "station") as desk,
+        await browser.new_context(**PHONE) as context,
+    ):
+        page = await context.new_page()
+        dialog = await open_dialog(page, desk.address)
+        await dialog.get_by_label("What").select_option("wheels")
+        await choose_own_board(dialog)
+        await dialog.get_by_role("button", name="Begin").click()
+        await stand_in_the_open(desk.http, simulator, 1.0)
+        await drive_as_told(dialog)
+        await dialog.get_by_role("button", name="Finish").click()
+        await expect(dialog.locator(".verdict")).to_be_visible(timeout=300_000)
+        assert await dialog.locator(".verdict.good").count(), await dialog.inner_text()
+        await dialog.get_by_role("button", name="Use it").click()
+        await expect(dialog).to_contain_text("The robot tells these numbers now")
+        wheels = (await desk.http.get("/calibration")).json()["wheels"]
+        assert wheels["speed"] == pytest.approx(BodyParameters().linear_efficiency, rel=0.03)
+        assert wheels["turn"] < 0.6  # skidding wheels turn a third of what they are told
+        await asyncio.to_thread(simulator.ask, cmd="board", gone=True)
+        assert await true_turn_rad(desk, simulator, commanded=0.5) == pytest.approx(0.5, rel=0.15)
+
+
+async def true_turn_rad(desk: Desk, simulator: SimulatorLink, commanded: float) -> float:
+    """How far the robot truly turns to the left in a second of so many rad/s."""
+    before = np.array((await asyncio.to_thread(simulator.ask, cmd="truth"))["T_world_body"])
+    answer = await desk.http.post("/drive", json={"linear": 0.0, "angular": commanded, "ttl_ms": 1000})
+    assert answer.status_code == 200, answer.text
+    await asyncio.sleep(3.0)  # and the motors' lag
+    after = np.array((await asyncio.to_thread(simulator.ask, cmd="truth"))["T_world_body"])
+    return float(so3_log(before[:3, :3].T @ after[:3, :3])[2])
+
+
+async def test_a_minute_at_rest_tells_the_imus_white_noise_and_the_robot_takes_it(
+    browser: Browser, tmp_path: Path
+) -> None:
+    async with (
+        new_robot(tmp_path, {}) as (port, _),
+        running_station(port, tmp_path / "station") as desk,
+        await browser.new_context(**LAPTOP) as context,
+    ):
+        dialog = await open_dialog(await context.new_page(), desk.address)
+        await dialog.get_by_label("What").select_option("imu")
+        await expect(dialog.get_by_label("Paper")).to_be_hidden()
+        await dialog.get_by_role("button", name="Begin").click()
+        await expect(dialog).to_contain_text("at rest of at least 1 min")
+        finish = dialog.get_by_role("button", name="Finish")
+        await expect(finish).to_be_disabled()
+        await expect(finish).to_be_enabled(timeout=300_000)
+        await finish.click()
+        await expect(dialog.locator(".verdict")).to_be_visible(timeout=300_000)
+        assert await dialog.locator(".verdict.good").count(), await dialog.inner_text()
+        await expect(dialog).to_contain_text("gyroscope, white")
+        await dialog.get_by_role("button", name="Use it").click()
+        await expect(dialog).to_contain_text("The robot tells these numbers now")
+        told = (await desk.http.get("/calibration")).json()["imu"]
+        assert told["gyro_noise_density"] == pytest.approx(REFERENCE_IMU.gyro_density, rel=0.1)
+        assert told["accel_noise_density"] == pytest.approx(REFERENCE_IMU.accel_density, rel=0.1)

@@ -21,6 +21,8 @@ from tests.support.programs import program, said
 TAG_MM, GAP_MM = 34.0, 10.2  # of the simulator's board, 6 by 6 tags
 BOARD = {"tag_m": TAG_MM / 1000}
 WAVED_AT_M = 0.9  # before the reference robot's camera
+BUTTONS = {"straight on": "Forth", "straight back": "Back", "to the left": "Turn left", "to the right": "Turn right"}
+HELD_S = 2.0  # a button to drive by
 STEP_BACK_M = 0.4  # from the middle of a room
 SEEN_WHOLE = 120  # of the board's 144 corners
 # As a person holds it before the reference robot's camera: distance (m), to the right and down (m), turned (degrees).
@@ -109,6 +111,18 @@ async def wave_until_all_is_recorded(dialog: Locator, simulator: SimulatorLink, 
         if "the IMU fell silent" not in await dialog.inner_text():
             return
         await dialog.get_by_role("button", name="Again").click()
+
+
+async def drive_as_told(dialog: Locator) -> None:
+    """Hold the button that the dialog names, let go, and wait for its next word, until it has enough."""
+    while "Enough" not in (said := await dialog.locator(".instruction").inner_text()):
+        name = next((button for words, button in BUTTONS.items() if words in said), None)
+        if name is not None:
+            await dialog.get_by_role("button", name=name).hover()
+            await dialog.page.mouse.down()
+            await asyncio.sleep(HELD_S)
+            await dialog.page.mouse.up()
+        await asyncio.sleep(0.5)  # until the station has seen it
 
 
 async def open_dialog(page: Page, address: str) -> Locator:
