@@ -5,6 +5,7 @@ Its sections `camera` and `imu` have the keys of our `camera.yaml` and of EuRoC'
 
 from __future__ import annotations
 
+import hashlib
 import math
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,11 @@ def calibration_text(calibration: Calibration, previous: Calibration | None = No
     if previous is not None:
         content[PREVIOUS] = _content(previous)
     return HEAD + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=200)
+
+
+def calibration_digest(calibration: Calibration) -> str:
+    """The same for two that a robot's file says in the same words."""
+    return hashlib.sha256(calibration_text(calibration).encode()).hexdigest()
 
 
 def _content(calibration: Calibration) -> dict[str, Any]:

@@ -110,6 +110,7 @@ class RobotSession(IgnoringListener):
         events.on_line = self.current_navigation.on_log
         listeners = LinkListeners(self.current_navigation, self.current_place, self.guided_calibration, self)
         self.link = RobotLink(robot.host, robot.port, listeners, station_name=config.name, robots=shared.paired)
+        self.link.commands.must_stand = lambda: self.must_stand != ""
         self.driving = Driving(
             self.link.commands,
             config.drive,
@@ -244,7 +245,8 @@ class RobotSession(IgnoringListener):
                 raise Conflict("a navigation is being recorded with the present calibration; stop it first")
             if self.guided_calibration.is_busy:
                 raise Conflict("the robot is being calibrated; finish that, or give it up")
-            refusal = await self.link.commands.use_calibration(None if make is None else make(hello))
+            wanted = None if make is None else make(hello)
+            refusal = await self.link.commands.use_calibration(wanted, hello.calibration)
         if refusal is not None:
             raise (OutOfRange if refusal.code == "out_of_range" else Conflict)(refusal.message)
 
