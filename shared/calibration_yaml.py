@@ -20,6 +20,7 @@ from shared.sensor_yaml import number, read_camera, read_imu_noise, read_rig, re
 IMU_HEAD = "# Noise of an inertial unit in continuous time, SI units (docs/calibration.md).\n"
 HEAD = "# What is known of this robot's sensors (docs/robot.md). t_imu = t_cam + time_shift_s.\n"
 WHEELS = ("speed", "turn")  # keys of the section `wheels`
+IDENTITY = [float(row == column) for row in range(4) for column in range(4)]
 PREVIOUS = "previous"  # the section of the calibration before: one file, so that both change at once or not at all
 
 
@@ -28,7 +29,7 @@ def calibration_text(calibration: Calibration, previous: Calibration | None = No
     content = _content(calibration)
     if previous is not None:
         content[PREVIOUS] = _content(previous)
-    return HEAD + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=200)
+    return HEAD + _yaml(content)
 
 
 def calibration_digest(calibration: Calibration) -> str:
@@ -84,6 +85,26 @@ def imu_text(imu: ImuNoise) -> str:
     finite = {key: value for key, value in _imu_content(imu).items() if math.isfinite(value)}
     content = {"rostopic": "/imu0", "update_rate": float(imu.rate_hz), **finite}
     return IMU_HEAD + yaml.safe_dump(content, sort_keys=False)
+
+
+def camera_sensor_text(camera: CameraCalibration, **more: str) -> str:
+    """`cam0/sensor.yaml` of an ASL folder: EuRoC's keys, those of ours that EuRoC lacks, and `more`."""
+    content = camera_content(camera)
+    mounting = _asl_mounting(content.pop("T_body_cam"))
+    return _yaml({"sensor_type": "camera", "camera_model": "pinhole", "T_BS": mounting, **content, **more})
+
+
+def imu_sensor_text(imu: ImuNoise) -> str:
+    """`imu0/sensor.yaml` of an ASL folder, likewise; the IMU is the body."""
+    return _yaml({"sensor_type": "imu", "T_BS": _asl_mounting(IDENTITY), **_imu_content(imu)})
+
+
+def _asl_mounting(T_body_sensor: list[float]) -> dict[str, Any]:
+    return {"cols": 4, "rows": 4, "data": T_body_sensor}
+
+
+def _yaml(content: dict[str, Any]) -> str:
+    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=200)
 
 
 def read_imu(path: Path) -> ImuNoise:

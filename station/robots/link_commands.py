@@ -226,9 +226,8 @@ class LinkCommands:
         """The robot tells another calibration now: perhaps the one that we asked for, perhaps another station's."""
         if not isinstance(is_ours := changed.is_answer, bool):  # an older robot, which does not say
             # By the words of its file: the robot tells what it reads there, without what no station changes.
-            is_ours = self._wanted is None or calibration_digest(changed.calibration) == calibration_digest(
-                self._wanted
-            )
+            wanted = self._wanted or changed.calibration
+            is_ours = calibration_digest(changed.calibration) == calibration_digest(wanted)
         if is_ours:
             _resolve(self._calibrated, None)
 

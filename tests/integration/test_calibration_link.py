@@ -126,7 +126,7 @@ async def test_a_result_of_another_robot_is_not_written_into_the_present_one(tmp
         before = (await desk.http.get("/calibration")).json()
         assert REFERENCE_ROBOT.camera is not None
         desk.station.first.guided_calibration.session = CalibrationSession(
-            "cal-1", "camera", TARGET, tmp_path, REFERENCE_ROBOT.camera, "another", state="done", result=GOOD
+            "cal-1", "camera", TARGET, tmp_path, REFERENCE_ROBOT, "another", state="done", result=GOOD
         )
         answer = await desk.http.post("/calibration/use", json={"session": "cal-1"})
         assert is_problem(answer, 409) and "another robot" in answer.json()["detail"]
