@@ -1,0 +1,134 @@
+"""Takes the pictures of docs/calibration.md: python scripts/calibration_pictures.py [OUT]
+
+A simulated robot with another camera than it tells, a station, and the page in headless Chromium, on a phone and on a
+laptop. A script holds the simulated board, waves the robot and drives it, as in tests/e2e/test_new_robot.py. Takes some
+minutes; do it on a quiet machine. OUT: docs/images by default. Where it has a folder `steps`, every step goes in there.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+import cv2
+from playwright.async_api import Browser, Locator, Page, async_playwright, expect
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from scripts.page_pictures import ARGUMENTS, SCREENS  # noqa: E402
+from tests.support.new_robot import (  # noqa: E402
+    HELD,
+    choose_own_board,
+    drive_as_told,
+    hold_everywhere,
+    new_robot,
+    open_dialog,
+    stand_in_the_open,
+    wave_until_all_is_recorded,
+)
+from tests.support.station import running_station  # noqa: E402
+
+BUILT = {"focal_percent": -6.0, "pitch_deg": 3.0, "yaw_deg": -2.0, "forward_cm": 1.5, "time_shift_ms": 12.0}
+IN_DOCS = ("camera-begin", "camera-look", "camera-result", "camera-imu-look", "camera-imu-result", "wheels-look")
+WIDTH_PX = 1000  # at most, in docs
+
+
+class Photographer:
+    """Takes each step on two screens that show the same session."""
+
+    def __init__(self, pages: dict[str, Page], out: Path) -> None:
+        self._pages, self._out = pages, out
+
+    async def take(self, step: str) -> None:
+        for screen, page in self._pages.items():
+            dialog = page.locator("#calibrate-dialog")
+            if not await dialog.is_visible():
+                await page.locator("#calibrate").click()
+            await page.wait_for_timeout(1000)  # for what is drawn a few times a second
+            steps = self._out / "steps"
+            if steps.is_dir():
+                await page.screenshot(path=steps / f"calibrate-{step}-{screen}.png")
+            if screen == "laptop" and step in IN_DOCS:
+                path = self._out / f"calibrate-{step}.png"
+                await dialog.screenshot(path=path)
+                shrink(path)
+
+
+def shrink(path: Path) -> None:
+    """As wide as docs need it, and with few colours' noise gone."""
+    image = cv2.imread(str(path))
+    assert image is not None
+    if image.shape[1] > WIDTH_PX:
+        image = cv2.resize(image, None, fx=WIDTH_PX / image.shape[1], fy=WIDTH_PX / image.shape[1])
+    cv2.imwrite(str(path), image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+
+
+async def go_through(browser: Browser, out: Path, folder: Path) -> None:
+    async with new_robot(folder, BUILT) as (port, simulator), running_station(port, folder / "station") as desk:
+        pages = {name: await browser.new_page(**options, color_scheme="dark") for name, options in SCREENS.items()}
+        dialogs = {name: await open_dialog(page, desk.address) for name, page in pages.items()}
+        photographer, dialog = Photographer(pages, out), dialogs["laptop"]
+        await photographer.take("camera-begin")
+        await choose_own_board(dialog)
+        await press(dialog, "Begin")
+        await stand_in_the_open(desk.http, simulator, 1.0)
+        half = hold_everywhere(desk.http, simulator, 1.0)
+        taking = asyncio.create_task(half)
+        while (await desk.http.get("/calibration/sessions")).json()[0]["seen"]["num_views"] < len(HELD) // 2:
+            await asyncio.sleep(0.2)
+        await photographer.take("camera-look")
+        await taking
+        await press(dialog, "Finish")
+        await expect(dialog.locator(".verdict")).to_be_visible(timeout=300_000)
+        await photographer.take("camera-result")
+        await press(dialog, "Use it")
+        await photographer.take("camera-used")
+        await press(dialog, "Next")
+        await photographer.take("camera-imu-begin")
+        waving = asyncio.create_task(wave_until_all_is_recorded(dialog, simulator, 1.0, 30.0))
+        while not any(
+            s["seen"] for s in (await desk.http.get("/calibration/sessions")).json() if s["kind"] != "camera"
+        ):
+            await asyncio.sleep(0.2)
+        await asyncio.sleep(10.0)
+        await photographer.take("camera-imu-look")
+        await waving
+        await photographer.take("camera-imu-result")
+        await press(dialog, "Use it")
+        await press(dialog, "Next")
+        await photographer.take("wheels-begin")
+        await press(dialog, "Begin")
+        await stand_in_the_open(desk.http, simulator, 1.0)
+        await photographer.take("wheels-look")
+        await drive_as_told(dialog)
+        await press(dialog, "Finish")
+        await expect(dialog.locator(".verdict")).to_be_visible(timeout=300_000)
+        await photographer.take("wheels-result")
+        await press(dialog, "Use it")
+        await press(dialog, "Next")
+        await photographer.take("imu-begin")
+        await press(dialog, "Begin")
+        await asyncio.sleep(15.0)
+        await photographer.take("imu-rest")
+        await press(dialog, "Give up")
+
+
+async def press(dialog: Locator, name: str) -> None:
+    await dialog.get_by_role("button", name=name).click()
+
+
+async def main() -> None:
+    out = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "docs" / "images"
+    async with async_playwright() as playwright:
+        browser = await playwright.chromium.launch(executable_path=shutil.which("chromium"), args=ARGUMENTS)
+        with tempfile.TemporaryDirectory(prefix="calibration-pictures-") as folder:
+            await go_through(browser, out, Path(folder))
+        await browser.close()
+
+
+if __name__ == "__main__":
+    asyncio.run(main())
