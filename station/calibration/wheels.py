@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+import cv2
 import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
@@ -19,14 +20,14 @@ from scipy.stats import t as student
 
 from shared.calibration import CameraCalibration
 from shared.errors import DataError
-from shared.geometry import FloatArray, IntArray, orthonormal, se3
+from shared.geometry import FloatArray, IntArray, inverse, orthonormal, se3
 from station.calibration import CALIBRATE_CAMERA
 from station.calibration.boards import make_finder, view_board
 from station.calibration.target import Target
 from station.datasets.dataset import Dataset
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.motion.drive_commands import MIN_COMMAND, REST_AFTER_S, commands_motion
-from station.vision.camera_pose import solve_pose
+from station.vision.camera_pose import solve_pose_from
 from station.vision.lens import Lens
 
 MIN_REST_S = 0.3  # of standing still that a rest must last, after the motors have stopped
@@ -267,10 +268,24 @@ def board_poses(
         view = view_board(finder, target, grey, frame.name, frame.t_robot_ns)
         if view is None or not view.ids_are_sure:
             continue
-        found = solve_pose(target.corners[view.ids], lens.unproject(view.corners_px), tolerance)
-        if found is not None:
-            seen[rest].append(found.T_map_cam @ camera.T_cam_body_matrix)
+        T_board_cam = pose_before_board(target.corners[view.ids], lens.unproject(view.corners_px), tolerance)
+        if T_board_cam is not None:
+            seen[rest].append(T_board_cam @ camera.T_cam_body_matrix)
     return [_middle(poses) if len(poses) >= LEAST_VIEWS else None for poses in seen]
+
+
+def pose_before_board(p_board: FloatArray, rays: FloatArray, tolerance: float) -> FloatArray | None:
+    """T_board_cam (4, 4) from corners (n, 3) seen at (n, 2); None where they agree on none.
+
+    From the plane's homography, not from three points as among landmarks: those of a plane that is parallel to the
+    image tell no pose, and a board that somebody hung carefully is nearly so.
+    """
+    found, rotation, translation = cv2.solvePnP(p_board, rays, np.eye(3), np.zeros(4))
+    if not found:
+        return None
+    start = inverse(se3(np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64), translation.ravel()))
+    pose = solve_pose_from(start, p_board, rays, tolerance)
+    return None if pose is None else pose.T_map_cam
 
 
 def _middle(poses: list[FloatArray]) -> FloatArray:

@@ -245,7 +245,7 @@ class WheelsResult(Model):
     reasons: list[str]
 
 
-class FigureResult(Model):
+class FigureResult(Model, extra="ignore"):
     """One figure of the three axes together."""
 
     value: float | None = Field(description="null: only an upper limit is known")
@@ -261,7 +261,7 @@ class UsedNoise(Model):
     rate_hz: float
 
 
-class AccelerometerResult(Model):
+class AccelerometerResult(Model, extra="ignore"):
     """By the rests on several sides. The robot tells none of it: nothing corrects readings by it."""
 
     scale: list[float]
@@ -269,8 +269,8 @@ class AccelerometerResult(Model):
     bias: list[float] = Field(description="m/s²")
 
 
-class ImuResult(Model):
-    """What a recording at rest came to."""
+class ImuResult(Model, extra="ignore"):
+    """What a recording at rest came to; in `result.json` is all of it, axis by axis."""
 
     gyro_noise_density: FigureResult | None
     gyro_random_walk: FigureResult | None

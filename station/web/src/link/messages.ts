@@ -434,7 +434,7 @@ export interface ImuOrder {
   accel_random_walk: number | null;
 }
 
-/** What a recording at rest came to. */
+/** What a recording at rest came to; in `result.json` is all of it, axis by axis. */
 export interface ImuResult {
   gyro_noise_density: FigureResult | null;
   gyro_random_walk: FigureResult | null;
