@@ -70,8 +70,8 @@ async def looked_at(http: httpx.AsyncClient, t_robot_ns: int) -> dict[str, Any]:
     looks: set[int] = set()
     seen: dict[str, Any] | None = None
     while len(looks) < 3:
-        [session] = (await http.get("/calibration/sessions")).json()
-        seen = session["seen"]
+        sessions = (await http.get("/calibration/sessions")).json()  # none: it is just being begun
+        seen = sessions[0]["seen"] if sessions else None
         if seen is not None and seen["t_robot_ns"] > t_robot_ns:
             looks.add(seen["t_robot_ns"])
         await asyncio.sleep(0.05)

@@ -5,9 +5,9 @@ import { choice, link } from "./parts";
 
 const KEY = "calibration board";
 const KINDS: [string, string][] = [
-  ["aprilgrid", "AprilGrid: may be seen in part"],
-  ["charuco", "ChArUco: may be seen in part"],
-  ["chessboard", "Chessboard: must be seen whole"],
+  ["aprilgrid", "AprilGrid"],
+  ["charuco", "ChArUco"],
+  ["chessboard", "Chessboard, seen whole"],
 ];
 const OTHER = "other";
 const SIZES: [string, string][] = [

@@ -80,7 +80,10 @@ export class CalibrateDialog {
     if (step !== this.step) {
       this.step = step;
       const title = this.session && !this.next ? GUIDED[this.session.kind].title : "Calibrate";
-      this.dialog.replaceChildren(make("h2", {}, title), ...this.content(), this.stopping());
+      const content = this.content();
+      const buttons = content.pop();
+      const footer = make("div", { class: "footer" }, this.stopping(), buttons);
+      this.dialog.replaceChildren(make("h2", {}, title), ...content, footer);
     }
     if (this.session?.state === "looking") this.drawProgress(this.session);
   }
@@ -225,8 +228,8 @@ export class CalibrateDialog {
     return make(
       "div",
       { class: "stopping" },
-      said,
       make("button", { type: "button", class: "stop", onclick: press }, "STOP"),
+      said,
     );
   }
 
