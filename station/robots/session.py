@@ -308,6 +308,7 @@ class RobotSession(IgnoringListener):
     def on_calibration(self, hello: Hello) -> None:
         told = "" if hello.calibration_origin is None else f": {hello.calibration_origin.source}"
         self.events.notify("calibration", f"{hello.name} tells another calibration{told}")
+        self.events.changed("calibration")
         self.events.changed("robot")
 
     def on_disconnected(self, reason: str) -> None:

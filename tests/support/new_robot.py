@@ -103,8 +103,10 @@ async def wave_until_all_is_recorded(dialog: Locator, simulator: SimulatorLink, 
         await expect(dialog.get_by_role("list", name="Views")).to_contain_text("roll")
         finish = dialog.get_by_role("button", name="Finish")
         await expect(finish).to_be_disabled()
-        await asyncio.to_thread(simulator.ask, cmd="wave", distance_m=WAVED_AT_M * nearer, seconds=seconds, **BOARD)
-        await asyncio.sleep(seconds)
+        place = BOARD | {"distance_m": WAVED_AT_M * nearer}
+        while await finish.is_disabled():  # on a busy computer the pictures of once may be too few
+            await asyncio.to_thread(simulator.ask, cmd="wave", seconds=seconds, **place)
+            await asyncio.sleep(seconds + 1.0)
         await finish.click()
         await expect(dialog.locator(".verdict")).to_be_visible(timeout=300_000)
         await asyncio.to_thread(simulator.ask, cmd="board", gone=True)

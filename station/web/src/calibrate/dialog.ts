@@ -48,8 +48,11 @@ export class CalibrateDialog {
 
   /** The station told how it stands. */
   show(session: CalibrationSessionModel | null): void {
+    const wasUsed = this.session?.is_used;
     this.take(session);
-    if (this.dialog.open) this.draw();
+    if (!this.dialog.open) return;
+    this.draw();
+    if (session && session.is_used !== Boolean(wasUsed)) attempt(() => this.refresh()); // perhaps on another page
   }
 
   showJob(job: JobModel): void {
@@ -69,6 +72,12 @@ export class CalibrateDialog {
     this.take(sessions[0] ?? null);
   }
 
+  private async refresh(): Promise<void> {
+    await this.reload();
+    this.step = "";
+    this.draw();
+  }
+
   private take(session: CalibrationSessionModel | null): void {
     this.session = session;
     if (session) this.newest = session.kind;
@@ -76,7 +85,9 @@ export class CalibrateDialog {
   }
 
   private draw(): void {
-    const step = this.next ?? (this.session ? `${this.session.id} ${this.session.state}` : "start");
+    const step =
+      this.next ??
+      (this.session ? `${this.session.id} ${this.session.state} ${String(this.session.is_used)}` : "start");
     if (step !== this.step) {
       this.step = step;
       const title = this.session && !this.next ? GUIDED[this.session.kind].title : "Calibrate";
@@ -253,9 +264,7 @@ export class CalibrateDialog {
       await ask();
     } finally {
       this.isWaiting = false;
-      await this.reload();
-      this.step = "";
-      this.draw();
+      await this.refresh();
     }
   }
 }
