@@ -110,7 +110,7 @@ class GuidedCalibration(LinkListeners):
     def must_stand(self) -> str:
         """Why the robot may not move, in a sentence; empty when it may."""
         if self._beginning is not None:
-            return MUST_STAND["camera"] if self._beginning.kind == "wheels" else MUST_STAND[self._beginning.kind]
+            return MUST_STAND[self._beginning.kind]
         return MUST_STAND[self.session.kind] if self.session is not None and self._is_looking else ""
 
     def get(self, session_id: str) -> CalibrationSession:

@@ -86,6 +86,31 @@ async def test_the_robot_stands_while_a_board_is_held_before_it(tmp_path: Path) 
         await drive_off(bench, lambda: http.post("/drive", json=forward))
 
 
+async def test_wheels_are_measured_while_the_robot_drives_and_an_imu_without_a_board_while_it_stands(
+    tmp_path: Path,
+) -> None:
+    async with before_a_board(tmp_path) as (desk, bench, _):
+        http = desk.http
+        forward = {"linear": 0.1, "angular": 0.0, "ttl_ms": 1000}
+        begun = await http.post("/calibration/sessions", json=ORDER | {"kind": "wheels"})
+        assert begun.status_code == 201, begun.text
+        path = f"/calibration/sessions/{begun.json()['id']}"
+        seen = (await wait_for(desk, path, lambda s: s["seen"] is not None))["seen"]
+        assert set(seen["poses"]) == {"forth", "back", "left", "right"} and not seen["may_finish"]
+        await drive_off(bench, lambda: http.post("/drive", json=forward))
+        await wait_for(desk, path, lambda s: "let go" in s["seen"]["instruction"])
+        await http.delete(path)
+        await http.post("/stop")
+        assert is_problem(await http.post("/calibration/sessions", json=ORDER | {"kind": "imu"}), 422)
+        begun = await http.post("/calibration/sessions", json={"kind": "imu"})
+        assert begun.status_code == 201, begun.text
+        refused = await http.post("/drive", json=forward)
+        assert is_problem(refused, 409) and "at rest" in refused.json()["detail"]
+        path = f"/calibration/sessions/{begun.json()['id']}"
+        seen = (await wait_for(desk, path, lambda s: s["seen"] is not None))["seen"]
+        assert set(seen["poses"]) == {"time"} and not seen["may_finish"]
+
+
 async def test_no_other_station_drives_while_a_board_is_held_before_the_robot(tmp_path: Path) -> None:
     async with before_a_board(tmp_path) as (desk, bench, _), linked(bench.port, "other") as (other, notes):
         begun = (await desk.http.post("/calibration/sessions", json=ORDER)).json()
