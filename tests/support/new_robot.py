@@ -100,9 +100,9 @@ async def wave_until_all_is_recorded(dialog: Locator, simulator: SimulatorLink, 
     """Begin, wave, finish; again where the computer stood still meanwhile, as the page then asks."""
     while True:
         await dialog.get_by_role("button", name="Begin").click()
-        await expect(dialog.get_by_role("list", name="Views")).to_contain_text("roll")
+        await expect(dialog.get_by_role("list", name="Views")).to_contain_text("roll", timeout=90_000)
         finish = dialog.get_by_role("button", name="Finish")
-        await expect(finish).to_be_disabled()
+        await expect(finish).to_be_disabled(timeout=90_000)
         place = BOARD | {"distance_m": WAVED_AT_M * nearer}
         while await finish.is_disabled():  # on a busy computer the pictures of once may be too few
             await asyncio.to_thread(simulator.ask, cmd="wave", seconds=seconds, **place)
