@@ -106,7 +106,9 @@ async def wave_until_all_is_recorded(dialog: Locator, simulator: SimulatorLink, 
         place = BOARD | {"distance_m": WAVED_AT_M * nearer}
         while await finish.is_disabled():  # on a busy computer the pictures of once may be too few
             await asyncio.to_thread(simulator.ask, cmd="wave", seconds=seconds, **place)
-            await asyncio.sleep(seconds + 1.0)
+            await asyncio.sleep(seconds)
+            while (await asyncio.to_thread(simulator.ask, cmd="truth"))["carried"]:
+                await asyncio.sleep(0.5)
         await finish.click()
         await expect(dialog.locator(".verdict")).to_be_visible(timeout=300_000)
         await asyncio.to_thread(simulator.ask, cmd="board", gone=True)
