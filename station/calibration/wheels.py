@@ -283,7 +283,8 @@ def pose_before_board(p_board: FloatArray, rays: FloatArray, tolerance: float) -
     found, rotation, translation = cv2.solvePnP(p_board, rays, np.eye(3), np.zeros(4))
     if not found:
         return None
-    start = inverse(se3(np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64), translation.ravel()))
+    R, t = (np.asarray(part, dtype=np.float64) for part in (cv2.Rodrigues(rotation)[0], translation))
+    start = inverse(se3(R, t.ravel()))
     pose = solve_pose_from(start, p_board, rays, tolerance)
     return None if pose is None else pose.T_map_cam
 
