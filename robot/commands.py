@@ -102,6 +102,7 @@ class CommandDesk:
     limits: DriveConfig
     lease: DriverLease[int] = field(default_factory=lambda: DriverLease(LEASE_NS))  # by client id
     refused: int = 0
+    _handled_by: set[int] = field(default_factory=set)  # clients at which somebody handles the robot
     _orders: dict[int, CommandOrder] = field(default_factory=dict)  # client id → order of its commands
     head: CameraHead | None = field(init=False)  # None: the camera is fixed
 
@@ -148,13 +149,28 @@ class CommandDesk:
             case _:
                 return None
 
+    @property
+    def is_handled(self) -> bool:
+        """Somebody is beside the robot, and no station drives it."""
+        return bool(self._handled_by)
+
+    def keep_standing(self, client: int, must_stand: bool) -> None:
+        """Whether somebody handles the robot at this station: then no station drives it."""
+        if not must_stand:
+            self._handled_by.discard(client)
+        elif client not in self._handled_by:
+            self._handled_by.add(client)
+            if self.watchdog is not None:
+                self.watchdog.stop()
+
     def leave(self, client: int) -> None:
         """The station is gone: if it drove, the motors stop now."""
         self._orders.pop(client, None)
         self.go_quiet(client)
 
     def go_quiet(self, client: int) -> None:
-        """Nothing was heard of the station for a while: it does not drive any more."""
+        """Nothing was heard of the station for a while: it neither drives nor keeps others from it any more."""
+        self._handled_by.discard(client)
         if self.lease.leave(client) and self.watchdog is not None:
             self.watchdog.stop()
 
@@ -174,6 +190,8 @@ class CommandDesk:
                 f"drive command ({message.linear:g} m/s, {message.angular:g} rad/s) exceeds this robot's limits"
                 f" of {limits.max_linear_m_s:g} m/s and {limits.max_angular_rad_s:g} rad/s",
             )
+        if self.is_handled and not wish.is_zero:
+            return self._refuse("not_allowed", "somebody handles the robot to calibrate it; it drives again after that")
         match self.lease.command(client, wish.is_zero, now_ns):
             case "taken":
                 return self._refuse("not_driver", "another station drives; wait until it has let go for a second")

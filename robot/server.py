@@ -20,6 +20,7 @@ from robot.devices.ports import DeviceSet
 from robot.doorstep import Doorstep
 from robot.head import STEP_S, CameraHead
 from robot.health import CpuMeter, read_temperatures
+from robot.measured_motors import MeasuredMotors
 from robot.outbox import ImuBacklog, ImuCursor
 from robot.own_calibration import OwnCalibration, summary
 from robot.recompress import Recompressor
@@ -29,6 +30,7 @@ from robot.systemd import Systemd
 from robot.video import FrameSlot, VideoStream
 from robot.watchdog import STANDSTILL, MotorWatchdog, Velocity
 from shared.access import Role
+from shared.calibration_yaml import calibration_digest
 from shared.errors import HardwareError, RobotSystemError
 from shared.messages import (
     PROTOCOL_VERSION,
@@ -88,7 +90,11 @@ class RobotServer:
         self._config = config
         self._now_ns = now_ns
         self._loop: asyncio.AbstractEventLoop | None = None
-        self.watchdog = None if devices.motors is None else MotorWatchdog(devices.motors, self._report_from_thread)
+        self.calibration = calibration or OwnCalibration(None, devices.calibration)
+        self.watchdog = None
+        if devices.motors is not None:
+            motors = MeasuredMotors(devices.motors, lambda: self.calibration.current.wheel_factors)
+            self.watchdog = MotorWatchdog(motors, self._report_from_thread)
         self.desk = CommandDesk(devices, self.watchdog, config.drive)
         self.faults = Faults(self._broadcast_fault)
         self._recompressor = Recompressor(self._wake_all, now_ns)
@@ -103,7 +109,6 @@ class RobotServer:
         if not starts_with_first_station:
             self._may_start.set()
         self._cpu = CpuMeter()
-        self.calibration = calibration or OwnCalibration(None, devices.calibration)
         self._tasks: asyncio.TaskGroup | None = None
         self._is_recalibrating = False
 
@@ -203,6 +208,8 @@ class RobotServer:
             self._recalibrate(client, message)
             return
         if isinstance(message, Heartbeat):
+            # Whoever may not drive may keep nobody else from driving.
+            self.desk.keep_standing(client.id, message.must_stand is True and _may_drive(client))
             t_robot_ns = self._devices.clock()
             took_stop = self.watchdog is None or not self.watchdog.stop_fault
             client.put(reply_to(message, t_robot_ns, t_robot_ns, took_stop=took_stop))
@@ -273,7 +280,7 @@ class RobotServer:
     # Calibration
 
     def _recalibrate(self, client: StationClient, message: UseCalibration | UndoCalibration) -> None:
-        reason = self._why_no_other_calibration()
+        reason = self._why_no_other_calibration() or self._why_outdated(message)
         if reason or self._tasks is None:
             client.put(notice("not_allowed", reason, about="calibration"))
             return
@@ -293,6 +300,12 @@ class RobotServer:
             )
         return self.calibration.origin.fixed
 
+    def _why_outdated(self, message: UseCalibration | UndoCalibration) -> str:
+        """In a sentence; empty: it was made of what the robot tells now."""
+        if message.instead_of in (msgspec.UNSET, calibration_digest(self.calibration.current)):
+            return ""
+        return "another station changed the robot's calibration meanwhile; look at it, then decide anew"
+
     async def _change_calibration(self, client: StationClient, message: UseCalibration | UndoCalibration) -> None:
         own = self.calibration
         try:
@@ -306,7 +319,10 @@ class RobotServer:
         finally:
             self._is_recalibrating = False
         logger.info("%s changed the calibration: %s", client.station_name, summary(own.current))
-        self._broadcast(CalibrationChanged(calibration=own.current, origin=own.origin))
+        changed = CalibrationChanged(calibration=own.current, origin=own.origin)
+        for other in self._clients.values():
+            if other.is_joined:
+                other.put(msgspec.structs.replace(changed, is_answer=other is client))
         for other in self._clients.values():
             if not other.is_joined:  # its hello told the one before
                 other.end(Event.REFUSAL, Refusal(reason="the robot's calibration has just changed; connect again"))
@@ -414,7 +430,7 @@ class RobotServer:
         except RuntimeError:
             logger.debug("drive report after the event loop's end")
 
-    def _broadcast(self, message: DriveApplied | ErrorNotice | CalibrationChanged) -> None:
+    def _broadcast(self, message: DriveApplied | ErrorNotice) -> None:
         for client in self._clients.values():
             if client.is_joined:
                 client.put(message)
@@ -459,6 +475,10 @@ class RobotServer:
 
 def _rank(client: StationClient) -> Rank:
     return rank_of(client.role or Role.WATCH)
+
+
+def _may_drive(client: StationClient) -> bool:
+    return client.role is not None and client.role.includes(Role.DRIVE)
 
 
 def _about(message: StationMessage) -> About:

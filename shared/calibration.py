@@ -26,6 +26,7 @@ MAX_LEVER_M = 10.0  # camera or head from the IMU
 MAX_SKEW = 1e-3  # of a rotation's rows from unit length and right angles
 MAX_NOISE = 10.0  # of a gyroscope's or accelerometer's densities and walks, SI units
 MAX_RATE_HZ = 1e5
+WHEEL_FACTORS = (0.1, 10.0)  # beyond, a command and what comes of it are not the same motion
 GRAVITIES = (1.0, 30.0)  # m/s^2, smaller than the Moon's, more than Jupiter's
 
 
@@ -160,8 +161,24 @@ class ImuNoise(msgspec.Struct, frozen=True, kw_only=True):
             raise ConfigError(f"the IMU's ranges ({self.gyro_range:g}, {self.accel_range:g}) must be over 0")
 
 
+class WheelCalibration(msgspec.Struct, frozen=True, kw_only=True):
+    """What motors make of a command by themselves. Robot-server asks them for that much more, so that it comes true.
+
+    Wheels that skid turn less than they roll: the two differ.
+    """
+
+    speed: float = 1.0  # m/s over ground for each commanded one
+    turn: float = 1.0  # rad/s likewise
+
+    def __post_init__(self) -> None:
+        least, most = WHEEL_FACTORS
+        for name in ("speed", "turn"):
+            if not least <= getattr(self, name) <= most:
+                raise ConfigError(f"the wheels' {name} is {getattr(self, name):g}, must be {least:g} to {most:g}")
+
+
 class Calibration(msgspec.Struct, frozen=True, kw_only=True):
-    """Everything the station must know of one robot's sensors."""
+    """Everything the station must know of one robot's sensors, and what was measured of its wheels."""
 
     camera: CameraCalibration | None
     imu: ImuNoise | None
@@ -170,11 +187,17 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
     gravity: float = 9.81
     rig: Rig = "unknown"  # what carries the sensors
     head: HeadCalibration | None = None  # None: the camera is fixed to the body
+    wheels: WheelCalibration | msgspec.UnsetType = msgspec.UNSET  # not measured
 
     def __post_init__(self) -> None:
         lightest, heaviest = GRAVITIES
         if not lightest <= self.gravity <= heaviest:
             raise ConfigError(f"gravity is {self.gravity:g}, must be {lightest:g} to {heaviest:g} m/s^2")
+
+    @property
+    def wheel_factors(self) -> WheelCalibration:
+        """As measured; or motors that do as they are told."""
+        return self.wheels if isinstance(self.wheels, WheelCalibration) else WheelCalibration()
 
     @property
     def has_wheels(self) -> bool:

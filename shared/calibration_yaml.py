@@ -1,22 +1,26 @@
-"""`calibration.yaml`: all that is known of one robot's sensors in one file, written and read by robot and station.
+"""`calibration.yaml`: all that is known of one robot's sensors and wheels, written and read by robot and station.
 
 Its sections `camera` and `imu` have the keys of our `camera.yaml` and of EuRoC's `sensor.yaml`.
 """
 
 from __future__ import annotations
 
+import hashlib
 import math
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import yaml
 
-from shared.calibration import Calibration, CameraCalibration, ImuNoise
+from shared.calibration import Calibration, CameraCalibration, ImuNoise, WheelCalibration
 from shared.errors import ConfigError, DataError
 from shared.sensor_yaml import number, read_camera, read_imu_noise, read_rig, read_yaml
 
 IMU_HEAD = "# Noise of an inertial unit in continuous time, SI units (docs/calibration.md).\n"
 HEAD = "# What is known of this robot's sensors (docs/robot.md). t_imu = t_cam + time_shift_s.\n"
+WHEELS = ("speed", "turn")  # keys of the section `wheels`
+IDENTITY = [float(row == column) for row in range(4) for column in range(4)]
 PREVIOUS = "previous"  # the section of the calibration before: one file, so that both change at once or not at all
 
 
@@ -25,7 +29,12 @@ def calibration_text(calibration: Calibration, previous: Calibration | None = No
     content = _content(calibration)
     if previous is not None:
         content[PREVIOUS] = _content(previous)
-    return HEAD + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=200)
+    return HEAD + _yaml(content)
+
+
+def calibration_digest(calibration: Calibration) -> str:
+    """The same for two that a robot's file says in the same words."""
+    return hashlib.sha256(calibration_text(calibration).encode()).hexdigest()
 
 
 def _content(calibration: Calibration) -> dict[str, Any]:
@@ -38,6 +47,8 @@ def _content(calibration: Calibration) -> dict[str, Any]:
         content["camera"] = camera_content(calibration.camera)
     if calibration.imu is not None:
         content["imu"] = _imu_content(calibration.imu)
+    if isinstance(calibration.wheels, WheelCalibration):
+        content["wheels"] = {key: float(getattr(calibration.wheels, key)) for key in WHEELS}
     return content
 
 
@@ -76,6 +87,26 @@ def imu_text(imu: ImuNoise) -> str:
     return IMU_HEAD + yaml.safe_dump(content, sort_keys=False)
 
 
+def camera_sensor_text(camera: CameraCalibration, **more: str) -> str:
+    """`cam0/sensor.yaml` of an ASL folder: EuRoC's keys, those of ours that EuRoC lacks, and `more`."""
+    content = camera_content(camera)
+    mounting = _asl_mounting(content.pop("T_body_cam"))
+    return _yaml({"sensor_type": "camera", "camera_model": "pinhole", "T_BS": mounting, **content, **more})
+
+
+def imu_sensor_text(imu: ImuNoise) -> str:
+    """`imu0/sensor.yaml` of an ASL folder, likewise; the IMU is the body."""
+    return _yaml({"sensor_type": "imu", "T_BS": _asl_mounting(IDENTITY), **_imu_content(imu)})
+
+
+def _asl_mounting(T_body_sensor: list[float]) -> dict[str, Any]:
+    return {"cols": 4, "rows": 4, "data": T_body_sensor}
+
+
+def _yaml(content: dict[str, Any]) -> str:
+    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=200)
+
+
 def read_imu(path: Path) -> ImuNoise:
     """An `imu.yaml` of ours or kalibr's. Raises DataError, which names the file and the key."""
     return read_imu_noise(path, read_yaml(path))
@@ -94,10 +125,10 @@ def read_previous(path: Path) -> Calibration | None:
 
 def as_calibration(content: dict[str, Any], path: Path) -> Calibration:
     """A file's mapping as a calibration; `path` is what its errors call it. Raises DataError."""
-    sections = {name: _section(content, name, path) for name in ("camera", "imu")}
+    sections = {name: _section(content, name, path) for name in ("camera", "imu", "wheels")}
     if sections["camera"] is None and sections["imu"] is None:
         raise DataError(f"{path} has neither a camera nor an imu section; it is no calibration.yaml")
-    camera, imu = sections["camera"], sections["imu"]
+    camera, imu, wheels = sections["camera"], sections["imu"], sections["wheels"]
     try:
         return Calibration(
             camera=None if camera is None else read_camera(path, camera),
@@ -105,6 +136,9 @@ def as_calibration(content: dict[str, Any], path: Path) -> Calibration:
             robot_kind=str(content.get("robot_kind", "generic")),
             gravity=number(content, "gravity", 9.81, path),
             rig=read_rig(content, path),
+            wheels=msgspec.UNSET
+            if wheels is None
+            else WheelCalibration(**{k: number(wheels, k, 1.0, path) for k in WHEELS}),
         )
     except ConfigError as exc:
         raise DataError(f"{path}: {exc}") from exc

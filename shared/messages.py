@@ -30,6 +30,7 @@ MAX_COUNT = 2**53  # a page's numbers are exact up to here
 MAX_TIME_NS = 2**62  # 146 years: a sum of two times still fits 64 bits
 
 Name = Annotated[str, Meta(min_length=1, max_length=MAX_NAME_LENGTH, pattern=PRINTABLE)]
+Digest = Annotated[str, Meta(max_length=64, pattern=PRINTABLE)]
 Sentence = Annotated[str, Meta(max_length=MAX_SENTENCE_LENGTH)]  # whoever holds a message finds it printable
 Count = Annotated[int, Meta(ge=0, le=MAX_COUNT)]
 NextSequence = Annotated[int, Meta(ge=-1, le=MAX_COUNT)]  # -1: none yet
@@ -156,6 +157,8 @@ class Heartbeat(_Message, frozen=True, kw_only=True, tag="heartbeat"):
 
     seq: Count
     t_station_ns: Time
+    # True: somebody handles the robot, and no station may drive it while this one says so. Left out otherwise.
+    must_stand: bool | msgspec.UnsetType = msgspec.UNSET
 
 
 class HeartbeatReply(_Message, frozen=True, kw_only=True, omit_defaults=True, tag="heartbeat_reply"):
@@ -272,10 +275,14 @@ class UseCalibration(_Message, frozen=True, kw_only=True, tag="use_calibration")
     """Tell this calibration from now on. The robot keeps the present one, and answers with `CalibrationChanged`."""
 
     calibration: Calibration
+    # calibration_digest of what the robot told when this was made of it; left out: whatever it tells.
+    instead_of: Digest | msgspec.UnsetType = msgspec.UNSET
 
 
 class UndoCalibration(_Message, frozen=True, kw_only=True, tag="undo_calibration"):
     """Tell the calibration before the present one again. Said twice, the present one is back."""
+
+    instead_of: Digest | msgspec.UnsetType = msgspec.UNSET
 
 
 class CalibrationChanged(_Message, frozen=True, kw_only=True, tag="calibration_changed"):
@@ -283,6 +290,8 @@ class CalibrationChanged(_Message, frozen=True, kw_only=True, tag="calibration_c
 
     calibration: Calibration
     origin: CalibrationOrigin
+    # To the station that gave the order True, to others False; left out by an older robot.
+    is_answer: bool | msgspec.UnsetType = msgspec.UNSET
 
 
 class DriveApplied(_Message, frozen=True, kw_only=True, omit_defaults=True, tag="drive_applied"):

@@ -18,6 +18,7 @@ from typing import Any
 from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
 from station.access.visitors import open_access
+from station.calibration.guidance import GuidedKind
 from station.calibration.target import TargetKind
 from station.config import RecordingConfig, StationConfig
 from station.errors import Conflict, Unknown
@@ -34,6 +35,7 @@ from station.model.map_store import MapSummary, StoreAddress
 from station.model.place_map import Place
 from station.places.making.config import PlacesMode
 from station.recordings.recorder import Recorder
+from station.robots.guided_calibration import CalibrationSession
 from station.robots.navigation_files import NavigationRecorder
 from station.robots.session import RobotSession, Shared
 from station.workers.calibration_interface import PaperSize
@@ -47,6 +49,12 @@ from station.workers.worker import Worker, warm_up
 logger = logging.getLogger(__name__)
 STATES: tuple[EventKind, ...] = ("robot", "driver", "pose", "landmarks", "map", "place", "bin", "calibration")
 BIN_CHECK_S = 3600.0
+ESTIMATED: dict[GuidedKind, str] = {
+    "camera": "camera",
+    "camera-imu": "camera and IMU",
+    "wheels": "wheels",
+    "imu": "IMU",
+}
 SESSION_RESTART_S = 1.0
 
 
@@ -264,19 +272,14 @@ class Station:
         session, times_ns = await guided.stop_looking(session_id)
 
         async def work(worker: JobWorker[LibraryProgram]) -> dict[str, Any]:
-            known = (session.target, session.told)
-            if session.kind == "camera":
-                result = await worker.call(LibraryProgram.calibrate_camera, session.folder, times_ns, *known)
-            else:
-                result = await worker.call(LibraryProgram.calibrate_camera_imu, session.folder, *known)
+            result = await _estimate(worker, session, times_ns)
             guided.change(session_id, lambda now: replace(now, state="done", result=result))
             return {"session": session_id, "accepted": result["accepted"]}
 
         def fail(why: str) -> None:
             guided.change(session_id, lambda now: replace(now, state="failed", message=why))
 
-        what = "camera" if session.kind == "camera" else "camera and IMU"
-        title = f"{what} of {robot.name} from {len(times_ns)} pictures"
+        title = f"{ESTIMATED[session.kind]} of {robot.name}"
         try:
             job = self.jobs.start("calibrate", title, work, on_failure=fail)
         except Conflict as exc:
@@ -427,6 +430,20 @@ class Station:
         """Recover what the station's end cut off, then remove what is beyond the limits."""
         await recover_recordings(self.navigations, interrupted, self.events)
         await retain_recordings(self.navigations.library, self.config.recordings, self.events)
+
+
+async def _estimate(
+    worker: JobWorker[LibraryProgram], session: CalibrationSession, times_ns: list[int]
+) -> dict[str, Any]:
+    """What a guided calibration comes to, from the pictures of these times or all that was recorded."""
+    folder, target, camera = session.folder, session.target, session.told.camera
+    if target is None or camera is None:
+        return await worker.call(LibraryProgram.calibrate_imu, folder)
+    if session.kind == "camera":
+        return await worker.call(LibraryProgram.calibrate_camera, folder, times_ns, target, camera)
+    if session.kind == "wheels":
+        return await worker.call(LibraryProgram.calibrate_wheels, folder, target)
+    return await worker.call(LibraryProgram.calibrate_camera_imu, folder, target, camera)
 
 
 def _first_cause(error: BaseException) -> BaseException:

@@ -12,7 +12,8 @@ import numpy as np
 
 from robot.simulation.body import MotionState
 from robot.simulation.sensors import ImuMeasurement
-from shared.calibration import Calibration, CameraCalibration, HeadCalibration, ImuNoise
+from shared.calibration import Calibration, HeadCalibration
+from shared.calibration_yaml import camera_sensor_text, imu_sensor_text
 from shared.errors import DataError
 from shared.geometry import FloatArray, IntArray, quat_from_rotation
 
@@ -27,7 +28,6 @@ _COLUMNS = {
     "b_w_RS_S_z [rad s^-1],b_a_RS_S_x [m s^-2],b_a_RS_S_y [m s^-2],b_a_RS_S_z [m s^-2]",
     "drive0": "#timestamp [ns],linear [m s^-1],angular [rad s^-1],pan [rad],tilt [rad]",
 }
-_DISTORTION_NAMES = {"radtan": "radial-tangential", "equidistant": "equidistant"}
 
 
 class AslWriter:
@@ -53,9 +53,9 @@ class AslWriter:
         except OSError as exc:
             raise DataError(f"{out} cannot be written: {exc.strerror}; choose another --out") from exc
         if calibration.camera:
-            (mav / "cam0/sensor.yaml").write_text(camera_yaml(calibration.camera) + f"rig: {calibration.rig}\n")
+            (mav / "cam0/sensor.yaml").write_text(camera_sensor_text(calibration.camera, rig=calibration.rig))
         if calibration.imu:
-            (mav / "imu0/sensor.yaml").write_text(imu_yaml(calibration.imu))
+            (mav / "imu0/sensor.yaml").write_text(imu_sensor_text(calibration.imu))
         self._files = {name: (mav / name / "data.csv").open("w") for name in tables}
         if calibration.head and "drive0" in tables:
             (mav / "drive0/head.yaml").write_text(head_yaml(calibration.head))
@@ -111,44 +111,7 @@ class AslWriter:
         self._files["drive0"].write(f"{t_ns},{values}\n")
 
 
-def camera_yaml(camera: CameraCalibration) -> str:
-    """sensor.yaml of a camera, with the keys EuRoC lacks: time_shift_s, line_delay_s."""
-    rows = [", ".join(f"{v:.12g}" for v in row) for row in camera.T_body_cam_matrix]
-    matrix = ",\n         ".join(rows)
-    return (
-        "sensor_type: camera\ncomment: simulated\n"
-        f"T_BS:\n  cols: 4\n  rows: 4\n  data: [{matrix}]\n"
-        f"rate_hz: {camera.rate_hz:g}\nresolution: [{camera.width}, {camera.height}]\ncamera_model: pinhole\n"
-        f"intrinsics: [{camera.fx}, {camera.fy}, {camera.cx}, {camera.cy}]\n"
-        f"distortion_model: {_DISTORTION_NAMES[camera.model]}\n"
-        f"distortion_coefficients: [{', '.join(map(str, camera.distortion))}]\n"
-        f"time_shift_s: {camera.time_shift_s}  # t_imu = t_cam + time_shift_s\n"
-        f"line_delay_s: {camera.line_delay_s}  # row v is exposed line_delay_s * v after row 0\n"
-        + ("" if camera.is_measured else "approximate: true  # intrinsics are a guess\n")
-    )
-
-
-def imu_yaml(imu: ImuNoise) -> str:
-    """sensor.yaml of an IMU, with the keys EuRoC lacks: gyroscope_range, accelerometer_range."""
-    identity = ",\n         ".join(", ".join(map(str, row)) for row in np.eye(4).tolist())
-    return (
-        "sensor_type: imu\ncomment: simulated\n"
-        f"T_BS:\n  cols: 4\n  rows: 4\n  data: [{identity}]\n"
-        f"rate_hz: {imu.rate_hz:g}\n"
-        f"gyroscope_noise_density: {imu.gyro_density:.9g}\n"
-        f"gyroscope_random_walk: {imu.gyro_walk:.9g}\n"
-        f"accelerometer_noise_density: {imu.accel_density:.9g}\n"
-        f"accelerometer_random_walk: {imu.accel_walk:.9g}\n"
-        f"gyroscope_range: {_finite(imu.gyro_range)}\n"
-        f"accelerometer_range: {_finite(imu.accel_range)}\n"
-    )
-
-
 def head_yaml(head: HeadCalibration) -> str:
     """The pan-tilt head that carries the camera; the keys are those of shared.calibration.HeadCalibration."""
     values = {**msgspec.structs.asdict(head), "pivot_body": list(head.pivot_body)}
     return "".join(f"{key}: {value}\n" for key, value in values.items())
-
-
-def _finite(value: float) -> str:
-    return f"{value:.9g}" if np.isfinite(value) else ".inf"

@@ -108,7 +108,7 @@ async def target(
 async def sessions(robot: RobotDep) -> list[CalibrationSessionModel]:
     """None or one. While a board is looked at, /ws/events tells it a few times a second."""
     session = robot.guided_calibration.session
-    return [] if session is None else [session_model(session)]
+    return [] if session is None else [session_model(session, robot)]
 
 
 @of_robot.post(
@@ -116,12 +116,13 @@ async def sessions(robot: RobotDep) -> list[CalibrationSessionModel]:
 )
 async def begin(order: SessionOrder, robot: RobotDep) -> CalibrationSessionModel:
     """From now on what the robot sends is recorded, and the board is looked for in its newest pictures."""
-    return session_model(await robot.start_calibration(order.kind, ordered_board(order.target)))
+    board = None if order.target is None else ordered_board(order.target)
+    return session_model(await robot.start_calibration(order.kind, board), robot)
 
 
 @of_robot.get("/calibration/sessions/{session_id}", summary="One guided calibration", responses=responses(404))
 async def session(session_id: str, robot: RobotDep) -> CalibrationSessionModel:
-    return session_model(robot.guided_calibration.get(session_id))
+    return session_model(robot.guided_calibration.get(session_id), robot)
 
 
 @of_robot.post(

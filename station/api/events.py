@@ -91,7 +91,7 @@ def to_message(robot: RobotSession, event: Event) -> Model:
             return BinMessage()
         case "calibration":
             session = robot.guided_calibration.session
-            return CalibrationMessage(session=None if session is None else session_model(session))
+            return CalibrationMessage(session=None if session is None else session_model(session, robot))
         case "log":
             return LogMessage(line=_log(cast(LogLine, event.subject)))
 

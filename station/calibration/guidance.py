@@ -7,7 +7,7 @@ from typing import Literal, Protocol
 
 from station.calibration.target import BoardView
 
-GuidedKind = Literal["camera", "camera-imu"]
+GuidedKind = Literal["camera", "camera-imu", "wheels", "imu"]
 MAX_BLUR_PX = 2.0
 MIN_CORNERS = 12
 
@@ -21,6 +21,7 @@ class Guidance:
     num_views: int  # that count
     cells: tuple[float, ...]  # how full each cell of the picture is, 0..1, by rows from the upper left; or none matters
     poses: dict[str, float]  # how much of each wanted pose or motion there is, 0..1
+    may_finish: bool  # there may be enough to estimate from
     is_enough: bool  # everything is full
 
 
@@ -31,4 +32,5 @@ class TargetGuide(Protocol):
     def views(self) -> list[BoardView]:
         """Those that count."""
 
-    def look(self, view: BoardView | None) -> Guidance: ...
+    def look(self, view: BoardView | None) -> Guidance:
+        """Take in what a picture shows of the target; None: nothing."""

@@ -21,7 +21,7 @@ CELL_NAMES = (
     ("left edge", "middle", "right edge"),
     ("lower left corner", "lower edge", "lower right corner"),
 )
-MAX_VIEWS = 80
+LEAST_VIEWS, MAX_VIEWS = 6, 80  # of fewer hardly any estimate is accepted; more take long and add little
 LEAST_TILT = np.tan(np.radians(15.0))  # less tells focal length from distance hardly
 NEAR, FAR = 0.65, 0.40  # the board's diagonal over the picture's
 STILL = 0.010  # of the picture's width that corners move between two looks; more is blurred and skewed by the shutter
@@ -131,7 +131,8 @@ class Guide:
         cells = np.minimum(1.0, self._filled / CELL_CORNERS).ravel().tolist()
         poses = {pose.name.lower(): min(1.0, self._held[pose] / count) for pose, count in WANTED.items()}
         is_enough = all(share >= 1.0 for share in (*cells, *poses.values()))
-        return Guidance(instruction, is_taken, len(self.views), tuple(cells), poses, is_enough)
+        may_finish = len(self.views) >= LEAST_VIEWS
+        return Guidance(instruction, is_taken, len(self.views), tuple(cells), poses, may_finish, is_enough)
 
 
 def _moved_px(earlier: BoardView, later: BoardView) -> float | None:

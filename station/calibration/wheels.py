@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+import cv2
 import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
@@ -19,14 +20,14 @@ from scipy.stats import t as student
 
 from shared.calibration import CameraCalibration
 from shared.errors import DataError
-from shared.geometry import FloatArray, IntArray, orthonormal, se3
+from shared.geometry import FloatArray, IntArray, inverse, orthonormal, se3
 from station.calibration import CALIBRATE_CAMERA
 from station.calibration.boards import make_finder, view_board
 from station.calibration.target import Target
 from station.datasets.dataset import Dataset
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.motion.drive_commands import MIN_COMMAND, REST_AFTER_S, commands_motion
-from station.vision.camera_pose import solve_pose
+from station.vision.camera_pose import solve_pose_from
 from station.vision.lens import Lens
 
 MIN_REST_S = 0.3  # of standing still that a rest must last, after the motors have stopped
@@ -50,6 +51,16 @@ IMU_MISSING = "Samples of the IMU are missing"
 RECORD_AGAIN = "see that nothing else keeps the robot busy, and record again"
 
 
+def is_drive(linear_m: float, largest_rad_s: float) -> bool:
+    """Whether these commands are a straight way, far enough to compare."""
+    return abs(linear_m) > LEAST_WAY_M and largest_rad_s < MIN_COMMAND
+
+
+def is_turn(angular_rad: float, largest_m_s: float) -> bool:
+    """Whether these commands are a turn on the spot, far enough to compare."""
+    return abs(angular_rad) > LEAST_TURN_RAD and largest_m_s < MIN_COMMAND
+
+
 @dataclass(frozen=True, slots=True)
 class Move:
     """Commands between two rests: what was commanded and what came of it."""
@@ -66,12 +77,12 @@ class Move:
     @property
     def is_drive(self) -> bool:
         """Straight on or back, far enough to compare."""
-        return abs(self.linear_m) > LEAST_WAY_M and self.command_rad_s < MIN_COMMAND
+        return is_drive(self.linear_m, self.command_rad_s)
 
     @property
     def is_turn(self) -> bool:
         """On the spot, far enough to compare."""
-        return abs(self.angular_rad) > LEAST_TURN_RAD and self.command_m_s < MIN_COMMAND
+        return is_turn(self.angular_rad, self.command_m_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,16 +168,12 @@ def _moves(
     poses: list[FloatArray | None],
 ) -> tuple[Move, ...]:
     """What happened between each rest and the next; not where the IMU was silent meanwhile."""
-    t_ns = np.array([d.t_robot_ns for d in drive])
-    commands = np.array([[d.linear_m_s, d.angular_rad_s] for d in drive])
+    told = Commands(drive)
     found = []
     for k, ((_, begin), (end, _)) in enumerate(pairwise(rests)):
         if _has_gap(imu_t_ns, begin, end):
             continue
-        held = slice(np.searchsorted(t_ns, begin), np.searchsorted(t_ns, end))
-        until = np.append(t_ns[held][1:], min(end, t_ns[held.stop] if held.stop < len(t_ns) else end))
-        total = (commands[held] * ((until - t_ns[held]) * 1e-9)[:, None]).sum(axis=0)
-        largest = np.abs(commands[held]).max(axis=0)
+        total, largest = told.between(begin, end)
         found.append(
             Move(
                 begin,
@@ -180,6 +187,22 @@ def _moves(
             )
         )
     return tuple(found)
+
+
+class Commands:
+    """What the motors were told, each command until the next one."""
+
+    def __init__(self, drive: Sequence[DriveSample]) -> None:
+        self._t_ns = np.array([d.t_robot_ns for d in drive])
+        self._told = np.array([[d.linear_m_s, d.angular_rad_s] for d in drive])
+
+    def between(self, begin_ns: int, end_ns: int) -> tuple[FloatArray, FloatArray]:
+        """Of the commands given from one time to another: their integral (m, rad) and the largest (m/s, rad/s)."""
+        t_ns = self._t_ns
+        held = slice(np.searchsorted(t_ns, begin_ns), np.searchsorted(t_ns, end_ns))
+        until = np.append(t_ns[held][1:], min(end_ns, t_ns[held.stop] if held.stop < len(t_ns) else end_ns))
+        total = (self._told[held] * ((until - t_ns[held]) * 1e-9)[:, None]).sum(axis=0)
+        return total, np.abs(self._told[held]).max(axis=0)
 
 
 def _felt(rests: list[tuple[int, int]], t_ns: IntArray) -> list[tuple[int, int]]:
@@ -245,10 +268,25 @@ def board_poses(
         view = view_board(finder, target, grey, frame.name, frame.t_robot_ns)
         if view is None or not view.ids_are_sure:
             continue
-        found = solve_pose(target.corners[view.ids], lens.unproject(view.corners_px), tolerance)
-        if found is not None:
-            seen[rest].append(found.T_map_cam @ camera.T_cam_body_matrix)
+        T_board_cam = pose_before_board(target.corners[view.ids], lens.unproject(view.corners_px), tolerance)
+        if T_board_cam is not None:
+            seen[rest].append(T_board_cam @ camera.T_cam_body_matrix)
     return [_middle(poses) if len(poses) >= LEAST_VIEWS else None for poses in seen]
+
+
+def pose_before_board(p_board: FloatArray, rays: FloatArray, tolerance: float) -> FloatArray | None:
+    """T_board_cam (4, 4) from corners (n, 3) seen at (n, 2); None where they agree on none.
+
+    From the plane's homography, not from three points as among landmarks: those of a plane that is parallel to the
+    image tell no pose, and a board that somebody hung carefully is nearly so.
+    """
+    found, rotation, translation = cv2.solvePnP(p_board, rays, np.eye(3), np.zeros(4))
+    if not found:
+        return None
+    R, t = (np.asarray(part, dtype=np.float64) for part in (cv2.Rodrigues(rotation)[0], translation))
+    start = inverse(se3(R, t.ravel()))
+    pose = solve_pose_from(start, p_board, rays, tolerance)
+    return None if pose is None else pose.T_map_cam
 
 
 def _middle(poses: list[FloatArray]) -> FloatArray:

@@ -158,11 +158,15 @@ def true_rooms(demo: Demo) -> list[TrueRoom]:
     return [TrueRoom(r["name"], (r["x0_m"], r["y0_m"]), (r["x1_m"], r["y1_m"])) for r in rooms]
 
 
-def start_programs(options: DemoOptions, programs: Programs, data: Path, say: Say) -> Demo:
-    """robot-server with simulated devices, and the station; wait until pictures arrive."""
+def start_programs(
+    options: DemoOptions, programs: Programs, data: Path, say: Say, settings: Path | None = None
+) -> Demo:
+    """robot-server with simulated devices, and the station; wait until pictures arrive.
+
+    `settings`: robot-server's; None: those of the demo.
+    """
     say(f"simulated robot in world {options.world}, flat {options.seed}; logs in {options.out / 'logs'}")
-    settings = options.out / "robot.toml"
-    settings.write_text(f"[simulated]\nsettings = {json.dumps(str(write_simulation(options.out)))}\n", encoding="utf-8")
+    settings = settings or write_settings(options.out)
     robot_port, sim_port, port = free_port(), free_port(), options.port or free_port()
     programs.start(
         "robot-server",
@@ -179,11 +183,12 @@ def start_programs(options: DemoOptions, programs: Programs, data: Path, say: Sa
     return Demo(options, programs, station, SimulatorClient(sim_port), sim_port, say)
 
 
-def write_simulation(folder: Path) -> Path:
-    """The simulator's settings: in each room of the flat hangs a sticker with its name."""
-    path = (folder / "simulation.toml").absolute()
-    path.write_text("stickers = true\n", encoding="utf-8")
-    return path
+def write_settings(folder: Path) -> Path:
+    """robot-server's settings, and the simulator's: in each room of the flat hangs a sticker with its name."""
+    simulation, settings = (folder / "simulation.toml").absolute(), folder / "robot.toml"
+    simulation.write_text("stickers = true\n", encoding="utf-8")
+    settings.write_text(f"[simulated]\nsettings = {json.dumps(str(simulation))}\n", encoding="utf-8")
+    return settings
 
 
 def record_drive(demo: Demo, name: str, route: str) -> str:

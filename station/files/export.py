@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
+from shared.calibration_yaml import camera_sensor_text
 from shared.geometry import FloatArray, quat_from_rotation
 from station.files.foxglove import pose_of, time_of
 from station.files.ply import cloud_columns, write_ply
@@ -41,16 +42,8 @@ def export_euroc(nav: Navigation, folder: Path) -> None:
             rows.append(f"{t_ns},{name}")
     (images.parent / "data.csv").write_text("\n".join(rows) + "\n")
     if camera is not None:
-        (images.parent / "sensor.yaml").write_text(
-            "sensor_type: camera\n"
-            f"T_BS:\n  cols: 4\n  rows: 4\n  data: {list(camera.T_body_cam)}\n"
-            f"rate_hz: {camera.rate_hz}\nresolution: [{camera.width}, {camera.height}]\ncamera_model: pinhole\n"
-            f"intrinsics: [{camera.fx}, {camera.fy}, {camera.cx}, {camera.cy}]\n"
-            f"distortion_model: {'radial-tangential' if camera.model == 'radtan' else 'equidistant'}\n"
-            f"distortion_coefficients: {list(camera.distortion)}\n"
-            f"time_shift_s: {camera.time_shift_s}\nline_delay_s: {camera.line_delay_s}\n"
-            f"robot_kind: {nav.calibration.robot_kind}\nrig: {nav.calibration.rig}\n"
-        )
+        more = {"robot_kind": nav.calibration.robot_kind, "rig": nav.calibration.rig}
+        (images.parent / "sensor.yaml").write_text(camera_sensor_text(camera, **more))
     header = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
     (truth / "data.csv").write_text("\n".join([header, *(_asl_pose(t, T) for t, T in _poses(nav.trajectory))]) + "\n")
 

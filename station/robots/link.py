@@ -363,7 +363,7 @@ class RobotLink:
             told = {"calibration": changed.calibration, "calibration_origin": changed.origin}
             self._hello = msgspec.structs.replace(self._hello, **told)
             self._listener.on_calibration(self._hello)
-        self.commands.receive_calibration(changed.calibration)
+        self.commands.receive_calibration(changed)
 
     def _receive_imu(self, batch: ImuBatch) -> None:
         if missing := self._arrived.add_imu(batch):

@@ -6,11 +6,14 @@ import asyncio
 import contextlib
 from collections.abc import Callable
 
+import msgspec
+
 from shared.calibration import Calibration
-from shared.calibration_yaml import calibration_text
+from shared.calibration_yaml import calibration_digest
 from shared.errors import LocalProtocolError
 from shared.messages import (
     MAX_DRIVE_TTL_MS,
+    CalibrationChanged,
     Capabilities,
     Drive,
     ErrorNotice,
@@ -77,6 +80,7 @@ class LinkCommands:
 
     def __init__(self, due: DueMessages, now_ns: Callable[[], int], late_ms: Callable[[], int] = lambda: 0) -> None:
         """`late_ms`: by how much a command may be late just now."""
+        self.must_stand: Callable[[], bool] = lambda: False  # whether somebody handles the robot here
         self._late_ms = late_ms
         self._due = due
         self._now_ns = now_ns
@@ -88,7 +92,7 @@ class LinkCommands:
         self._stop_seq: int | None = None  # of a stop that the robot has not confirmed; 0: not sent either
         self._stop_is_confirmed = asyncio.Event()
         self._calibrated: asyncio.Future[ErrorNotice | None] | None = None  # somebody waits for another calibration
-        self._wanted: Calibration | None = None  # that one; None: whichever the robot tells next
+        self._wanted: Calibration | None = None  # that one; None: the one before
 
     def restart_count(self) -> None:
         """A connection was made; the robot counts anew for each."""
@@ -193,12 +197,18 @@ class LinkCommands:
             if self._answer is answer:
                 self._answer = None
 
-    async def use_calibration(self, calibration: Calibration | None) -> ErrorNotice | None:
+    async def use_calibration(self, calibration: Calibration | None, present: Calibration) -> ErrorNotice | None:
         """Let the robot tell this calibration, or (None) the one before its present one; one question at a time.
 
+        `present`: as it tells now. When another station changes that first, the robot refuses.
         Returns why the robot refused, or None when it tells it now. Raises NoRobot when it said neither.
         """
-        question = UndoCalibration() if calibration is None else UseCalibration(calibration=calibration)
+        digest = calibration_digest(present)
+        question = (
+            UndoCalibration(instead_of=digest)
+            if calibration is None
+            else UseCalibration(calibration=calibration, instead_of=digest)
+        )
         if not self._put(question, self._is_connected):
             raise NoRobot("the robot is not connected just now; the link comes back by itself")
         self._calibrated = answer = asyncio.get_running_loop().create_future()
@@ -212,14 +222,18 @@ class LinkCommands:
             self._calibrated = None
             self._due.discard(type(question))  # nobody would hear what became of it
 
-    def receive_calibration(self, told: Calibration) -> None:
-        """The robot tells this calibration now: perhaps the one that we asked for, perhaps another station's."""
-        # By the words of its file: the robot tells what it reads there, without what no station changes.
-        if self._wanted is None or calibration_text(told) == calibration_text(self._wanted):
+    def receive_calibration(self, changed: CalibrationChanged) -> None:
+        """The robot tells another calibration now: perhaps the one that we asked for, perhaps another station's."""
+        if not isinstance(is_ours := changed.is_answer, bool):  # an older robot, which does not say
+            # By the words of its file: the robot tells what it reads there, without what no station changes.
+            wanted = self._wanted or changed.calibration
+            is_ours = calibration_digest(changed.calibration) == calibration_digest(wanted)
+        if is_ours:
             _resolve(self._calibrated, None)
 
     def beat(self) -> None:
-        self._put(Heartbeat(seq=self._count(), t_station_ns=self._now_ns()))
+        must_stand = True if self.must_stand() else msgspec.UNSET
+        self._put(Heartbeat(seq=self._count(), t_station_ns=self._now_ns(), must_stand=must_stand))
 
     def receive_beat(self, seq: int) -> None:
         """The robot answered this heartbeat, and refused nothing before it."""

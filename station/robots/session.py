@@ -110,6 +110,7 @@ class RobotSession(IgnoringListener):
         events.on_line = self.current_navigation.on_log
         listeners = LinkListeners(self.current_navigation, self.current_place, self.guided_calibration, self)
         self.link = RobotLink(robot.host, robot.port, listeners, station_name=config.name, robots=shared.paired)
+        self.link.commands.must_stand = lambda: self.must_stand != ""
         self.driving = Driving(
             self.link.commands,
             config.drive,
@@ -150,6 +151,8 @@ class RobotSession(IgnoringListener):
         """
         if self.current_navigation.is_busy:
             return "a navigation is being recorded, and the camera must look straight ahead for it; stop that first"
+        if self.guided_calibration.is_busy:
+            return "the robot is being calibrated, and the camera must look straight ahead for it; finish that first"
         return ""
 
     @property
@@ -165,9 +168,7 @@ class RobotSession(IgnoringListener):
     @property
     def must_stand(self) -> str:
         """Why the robot may not move, in a sentence; empty when it may."""
-        if self.guided_calibration.is_busy:
-            return "somebody holds a board before the robot to calibrate it; finish that, or give it up"
-        return ""
+        return self.guided_calibration.must_stand
 
     def point(self, driver: str, pan: float, tilt: float) -> None:
         """Point the camera head (rad). Raises as Driving.point, and Conflict while it must look straight ahead."""
@@ -243,13 +244,14 @@ class RobotSession(IgnoringListener):
             if self.current_navigation.is_busy:
                 raise Conflict("a navigation is being recorded with the present calibration; stop it first")
             if self.guided_calibration.is_busy:
-                raise Conflict("a board is looked at with the present calibration; finish that, or give it up")
-            refusal = await self.link.commands.use_calibration(None if make is None else make(hello))
+                raise Conflict("the robot is being calibrated; finish that, or give it up")
+            wanted = None if make is None else make(hello)
+            refusal = await self.link.commands.use_calibration(wanted, hello.calibration)
         if refusal is not None:
             raise (OutOfRange if refusal.code == "out_of_range" else Conflict)(refusal.message)
 
-    async def start_calibration(self, kind: GuidedKind, board: Target | PrintedBoard) -> CalibrationSession:
-        """Look at a calibration board and record. The robot stands meanwhile.
+    async def start_calibration(self, kind: GuidedKind, board: Target | PrintedBoard | None) -> CalibrationSession:
+        """Look at a calibration board and record. The robot stands meanwhile, unless its wheels are measured.
 
         Raises NoRobot, NotCapable, Conflict, DataError.
         """
@@ -259,6 +261,8 @@ class RobotSession(IgnoringListener):
         if self.current_navigation.is_busy:
             raise Conflict("a navigation is being recorded; stop it first")
         self._require_calibration_at_rest()
+        if not self.driving.head_is_centred:
+            raise Conflict("the camera looks aside; let it look straight ahead (pan 0, tilt 0) before you calibrate")
         self.driving.stop()
         return await self.guided_calibration.start(state.hello, kind, board)
 
@@ -304,6 +308,7 @@ class RobotSession(IgnoringListener):
     def on_calibration(self, hello: Hello) -> None:
         told = "" if hello.calibration_origin is None else f": {hello.calibration_origin.source}"
         self.events.notify("calibration", f"{hello.name} tells another calibration{told}")
+        self.events.changed("calibration")
         self.events.changed("robot")
 
     def on_disconnected(self, reason: str) -> None:

@@ -9,11 +9,12 @@ from typing import Literal
 from shared.calibration import CameraCalibration
 from station.calibration.guidance import GuidedKind
 from station.calibration.target import Target, TargetKind
-from station.model.frames import ImageFrame
+from station.model.frames import DriveSample, ImageFrame
 from station.workers.request import Program, ProgramName
 
 # In the folder of a session:
 RECORDING, RESULT, RESIDUALS = "recording.mcap", "result.json", "residuals.png"
+Xyz = tuple[float, float, float]
 PaperSize = Literal["A4", "A3", "Letter"]
 
 
@@ -30,7 +31,7 @@ class MeterReading:
 
 @dataclass(frozen=True, slots=True)
 class BoardSeen:
-    """What one picture shows of the board, and what to do next."""
+    """What one picture shows of the board, and what to do next; or a second of an IMU that lies still, by itself."""
 
     t_robot_ns: int
     corners_px: tuple[tuple[float, float], ...]
@@ -40,6 +41,7 @@ class BoardSeen:
     cells: tuple[float, ...]  # how full each of the 3x3 cells of the picture is, 0..1, by rows; none where all will do
     poses: dict[str, float]
     meter: tuple[MeterReading, ...]
+    may_finish: bool
     is_enough: bool
 
 
@@ -52,15 +54,23 @@ class PrintedBoard:
 
 
 class CalibrationProgram(Program, ABC):
-    """Looks for the board in pictures and chooses those that count."""
+    """Looks for the board in pictures and chooses those that count; or feels whether an IMU lies still."""
 
     @abstractmethod
     def begin(self, kind: GuidedKind, board: Target | PrintedBoard, camera: CameraCalibration) -> Target:
-        """The first request of all; returns the board with its numbers. `camera` as the robot tells it."""
+        """The first request but for an IMU; returns the board with its numbers. `camera` as the robot tells it."""
 
     @abstractmethod
     def look(self, frame: ImageFrame) -> BoardSeen:
         """What this picture shows. Raises DataError for one that cannot be decoded."""
+
+    @abstractmethod
+    def drive(self, samples: list[DriveSample]) -> None:
+        """What the motors were told since the last call."""
+
+    @abstractmethod
+    def feel(self, t_robot_ns: list[int], gyro_imu: list[Xyz], accel_imu: list[Xyz]) -> BoardSeen:
+        """What a second of inertial samples says of its rest. The first request where an IMU is measured."""
 
     @abstractmethod
     def taken(self) -> list[int]:

@@ -71,6 +71,14 @@ class LibraryProgram(Program, ABC):
         """How camera and IMU sit on each other, from the folder's recording; result and plot are written there."""
 
     @abstractmethod
+    def calibrate_wheels(self, folder: Path, target: Target) -> dict[str, Any]:
+        """What the wheels make of a command, from the folder's recording; result and plot are written there."""
+
+    @abstractmethod
+    def calibrate_imu(self, folder: Path) -> dict[str, Any]:
+        """The IMU's noise, from the folder's recording; result and plot are written there."""
+
+    @abstractmethod
     def target_page(self, kind: TargetKind, size: PaperSize) -> bytes:
         """A target to print that fills a page, as PDF."""
 

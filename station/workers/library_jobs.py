@@ -12,7 +12,9 @@ from shared.calibration import CameraCalibration
 from shared.errors import DataError
 from station.calibration.camera_imu.guided import estimate_camera_imu
 from station.calibration.guided import estimate_camera, store_result
+from station.calibration.imu.guided import estimate_imu
 from station.calibration.target import Target, TargetKind
+from station.calibration.wheels_guided import estimate_wheels
 from station.datasets import open_dataset
 from station.files.navigation_folder import PICTURES, load_navigation, save_navigation
 from station.files.unwritable import cannot_write, why_unwritable
@@ -125,6 +127,16 @@ class LibraryJobs(LibraryProgram):
 
     def calibrate_camera_imu(self, folder: Path, target: Target, told: CameraCalibration) -> dict[str, Any]:
         result = estimate_camera_imu(folder / RECORDING, target, told, folder / RESIDUALS, self._progress)
+        store_result(result, folder / RESULT)
+        return result
+
+    def calibrate_wheels(self, folder: Path, target: Target) -> dict[str, Any]:
+        result = estimate_wheels(folder / RECORDING, target, folder / RESIDUALS, self._progress)
+        store_result(result, folder / RESULT)
+        return result
+
+    def calibrate_imu(self, folder: Path) -> dict[str, Any]:
+        result = estimate_imu(folder / RECORDING, folder / RESIDUALS, self._progress)
         store_result(result, folder / RESULT)
         return result
 

@@ -1,25 +1,33 @@
 """The way of a new robot: built with another camera than it tells, calibrated on the page before a board that a script
 holds, and telling its own camera from then on.
+
+All the way, with the drives before and after and the place at the end: `python -m benchmarks.bench_new_robot`.
 """
 
 from __future__ import annotations
 
 import asyncio
-import socket
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
-from playwright.async_api import Browser, Locator, expect
+from playwright.async_api import Browser, expect
 
-from robot.simulation.config import BuildErrors
+from robot.simulation.config import BodyParameters, BuildErrors
 from robot.simulation.construction import built_camera
-from shared.calibration import REFERENCE_ROBOT
+from shared.calibration import REFERENCE_CAMERA, REFERENCE_IMU
+from shared.geometry import so3_log
 from shared.simulator_link import SimulatorLink
-from tests.e2e.conftest import LAPTOP
-from tests.support.board_bench import looked_at
-from tests.support.programs import program, said
+from tests.e2e.conftest import LAPTOP, PHONE
+from tests.support.new_robot import (
+    choose_own_board,
+    drive_as_told,
+    hold_everywhere,
+    new_robot,
+    open_dialog,
+    stand_in_the_open,
+    wave_until_all_is_recorded,
+)
 from tests.support.station import Desk, running_station
 
 pytestmark = [
@@ -30,88 +38,27 @@ pytestmark = [
 ]
 
 BUILD_SEED = 4
-TAG_MM, GAP_MM = 34.0, 10.2
-# As a person holds it before the reference robot's camera: distance (m), to the right and down (m), turned (degrees).
-HELD: list[dict[str, float]] = [
-    *({"distance_m": 0.95, "right_m": x, "down_m": y} for x in (-0.16, 0.16) for y in (-0.1, 0.1)),
-    *({"distance_m": 0.8, "pitch_deg": p, "right_m": 0.05} for p in (-30.0, -24.0, 24.0, 30.0)),
-    *({"distance_m": 0.8, "yaw_deg": w, "down_m": 0.04} for w in (-32.0, -25.0, 25.0, 32.0)),
-    *({"distance_m": 0.6, "pitch_deg": p, "yaw_deg": w, "roll_deg": 8.0} for p in (-20.0, 20.0) for w in (-20.0, 20.0)),
-    *({"distance_m": 1.5, "right_m": x, "yaw_deg": 30.0 * x / 0.2} for x in (-0.2, 0.2)),
-]
-
-
-@asynccontextmanager
-async def new_robot(folder: Path) -> AsyncIterator[tuple[int, SimulatorLink]]:
-    """The port of a simulated robot that is built otherwise than it tells, and the hands of its simulator."""
-    settings, config = folder / "simulation.toml", folder / "robot.toml"
-    settings.write_text(f"[build]\nseed = {BUILD_SEED}\n")
-    config.write_text(
-        f'[simulated]\nworld = "small"\nsettings = "{settings}"\n[calibration]\nfolder = "{folder / "own"}"\n'
-    )
-    sim_port = free_port()
-    words = (
-        "robot.main",
-        "--devices",
-        "simulated",
-        "--config",
-        str(config),
-        "--port",
-        "0",
-        "--sim-port",
-        str(sim_port),
-    )
-    async with program(*words) as robot:
-        port = int((await said(robot, r"on 127\.0\.0\.1:(\d+)")).group(1))
-        simulator = await asyncio.to_thread(SimulatorLink, sim_port)
-        try:
-            yield port, simulator
-        finally:
-            simulator.close()
-
-
-def free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return int(one.getsockname()[1])
-
-
-async def hold_everywhere(desk: Desk, simulator: SimulatorLink, nearer: float) -> None:
-    """Each pose until it was looked at, at `nearer` times its distance, as a camera of another view needs it."""
-    for place in HELD:
-        there = place | {"distance_m": nearer * place["distance_m"]}
-        await asyncio.to_thread(simulator.ask, cmd="board", tag_m=TAG_MM / 1000, **there)
-        truth = await asyncio.to_thread(simulator.ask, cmd="truth")
-        await looked_at(desk, truth["t_robot_ns"])
-
-
-async def choose_own_board(dialog: Locator) -> None:
-    """The simulator's board is of a size of its own."""
-    await dialog.get_by_label("Paper").select_option("other")
-    for label, value in (("Tag or square, mm", TAG_MM), ("Gap or marker, mm", GAP_MM)):
-        await dialog.get_by_label(label).fill(str(value))
+MOUNTED_OTHERWISE = {"pitch_deg": 3.0, "yaw_deg": -2.0, "forward_cm": 1.5, "up_cm": -1.0, "time_shift_ms": 12.0}
+WAVED_S = 25.0
 
 
 async def test_a_robot_built_otherwise_than_it_tells_is_calibrated_and_tells_its_own_camera(
     browser: Browser, tmp_path: Path
 ) -> None:
-    told = REFERENCE_ROBOT.camera
-    assert told is not None
+    told = REFERENCE_CAMERA
     built = built_camera(told, BuildErrors(seed=BUILD_SEED))
     assert abs(built.fx / told.fx - 1) > 0.05  # else there is nothing to find
-    async with new_robot(tmp_path) as (port, simulator), running_station(port, tmp_path / "station") as desk:
-        context = await browser.new_context(**LAPTOP)
-        page = await context.new_page()
-        page.set_default_timeout(90_000)
-        await page.goto(desk.address)
-        await page.wait_for_selector("#video[data-seq]")
-        await page.locator("#calibrate").click()
-        dialog = page.locator("#calibrate-dialog")
+    async with (
+        new_robot(tmp_path, {"seed": BUILD_SEED}) as (port, simulator),
+        running_station(port, tmp_path / "station") as desk,
+        await browser.new_context(**LAPTOP) as context,
+    ):
+        dialog = await open_dialog(await context.new_page(), desk.address)
         await expect(dialog).to_contain_text(f"focal length {told.fx:.1f}")
         await choose_own_board(dialog)
         await dialog.get_by_role("button", name="Begin").click()
         await expect(dialog.get_by_role("button", name="Finish")).to_be_disabled()
-        await hold_everywhere(desk, simulator, built.fx / told.fx)
+        await hold_everywhere(desk.http, simulator, built.fx / told.fx)
         await dialog.get_by_role("button", name="Finish").click()
         await expect(dialog.locator(".verdict")).to_have_text("This calibration is good.", timeout=300_000)
         await dialog.get_by_role("button", name="Use it").click()
@@ -120,4 +67,99 @@ async def test_a_robot_built_otherwise_than_it_tells_is_calibrated_and_tells_its
         assert (fx, fy) == pytest.approx((built.fx, built.fy), rel=0.01)
         assert (cx, cy) == pytest.approx((built.cx, built.cy), abs=8.0)
         assert "intrinsics" in (tmp_path / "own" / "calibration.yaml").read_text()
-        await context.close()
+
+
+async def test_a_robot_whose_camera_sits_otherwise_is_waved_on_a_phones_page_and_tells_how_it_sits(
+    browser: Browser, tmp_path: Path
+) -> None:
+    built = built_camera(REFERENCE_CAMERA, BuildErrors(**MOUNTED_OTHERWISE))
+    async with (
+        new_robot(tmp_path, MOUNTED_OTHERWISE) as (port, simulator),
+        running_station(port, tmp_path / "station") as desk,
+        await browser.new_context(**PHONE) as context,
+    ):
+        page = await context.new_page()
+        dialog = await open_dialog(page, desk.address)
+        await dialog.get_by_label("What").select_option("camera-imu")
+        await choose_own_board(dialog)
+        await wave_until_all_is_recorded(dialog, simulator, 1.0, WAVED_S)
+        await expect(dialog.locator(".verdict")).to_have_text("This calibration is good.")
+        await expect(dialog).to_contain_text("time shift")
+        await dialog.get_by_role("button", name="Use it").click()
+        await expect(dialog).to_contain_text("The robot tells these numbers now")
+        found = (await desk.http.get("/calibration")).json()["camera"]
+        T = np.array(found["T_body_cam"])
+        turned_deg = np.degrees(np.linalg.norm(so3_log(T[:3, :3].T @ built.T_body_cam_matrix[:3, :3])))
+        assert turned_deg < 0.3  # of 3.6 degrees
+        assert np.linalg.norm(T[:3, 3] - built.T_body_cam_matrix[:3, 3]) < 0.006  # of 18 mm
+        assert found["time_shift_s"] == pytest.approx(built.time_shift_s, abs=5e-4)
+        assert found["line_delay_s"] == pytest.approx(built.line_delay_s, abs=2e-6)
+        # The board is known from now on, also to a page that is opened anew.
+        dialog = await open_dialog(page, desk.address)
+        await dialog.get_by_role("button", name="Again").click()
+        await expect(dialog.get_by_label("What")).to_have_value("camera-imu")
+        await expect(dialog.get_by_label("Tag or square, mm")).to_have_value("34.0")
+
+
+async def test_the_wheels_are_driven_in_the_dialog_measured_and_do_as_they_are_told_from_then_on(
+    browser: Browser, tmp_path: Path
+) -> None:
+    async with (
+        new_robot(tmp_path, {}) as (port, simulator),
+        running_station(port, tmp_path / "station") as desk,
+        await browser.new_context(**PHONE) as context,
+    ):
+        page = await context.new_page()
+        dialog = await open_dialog(page, desk.address)
+        await dialog.get_by_label("What").select_option("wheels")
+        await choose_own_board(dialog)
+        await dialog.get_by_role("button", name="Begin").click()
+        await stand_in_the_open(desk.http, simulator, 1.0)
+        await drive_as_told(dialog)
+        await dialog.get_by_role("button", name="Finish").click()
+        await expect(dialog.locator(".verdict")).to_be_visible(timeout=300_000)
+        assert await dialog.locator(".verdict.good").count(), await dialog.inner_text()
+        await dialog.get_by_role("button", name="Use it").click()
+        await expect(dialog).to_contain_text("The robot tells these numbers now")
+        wheels = (await desk.http.get("/calibration")).json()["wheels"]
+        assert wheels["speed"] == pytest.approx(BodyParameters().linear_efficiency, rel=0.03)
+        assert wheels["turn"] < 0.6  # skidding wheels turn a third of what they are told
+        await asyncio.to_thread(simulator.ask, cmd="board", gone=True)
+        assert await true_turn_rad(desk, simulator, commanded=0.5) == pytest.approx(0.5, rel=0.15)
+
+
+async def true_turn_rad(desk: Desk, simulator: SimulatorLink, commanded: float) -> float:
+    """How far the robot truly turns to the left in a second of so many rad/s."""
+    before = np.array((await asyncio.to_thread(simulator.ask, cmd="truth"))["T_world_body"])
+    answer = await desk.http.post("/drive", json={"linear": 0.0, "angular": commanded, "ttl_ms": 1000})
+    assert answer.status_code == 200, answer.text
+    await asyncio.sleep(3.0)  # and the motors' lag
+    after = np.array((await asyncio.to_thread(simulator.ask, cmd="truth"))["T_world_body"])
+    return float(so3_log(before[:3, :3].T @ after[:3, :3])[2])
+
+
+async def test_a_minute_at_rest_tells_the_imus_white_noise_and_the_robot_takes_it(
+    browser: Browser, tmp_path: Path
+) -> None:
+    async with (
+        new_robot(tmp_path, {}) as (port, _),
+        running_station(port, tmp_path / "station") as desk,
+        await browser.new_context(**LAPTOP) as context,
+    ):
+        dialog = await open_dialog(await context.new_page(), desk.address)
+        await dialog.get_by_label("What").select_option("imu")
+        await expect(dialog.get_by_label("Paper")).to_be_hidden()
+        await dialog.get_by_role("button", name="Begin").click()
+        await expect(dialog).to_contain_text("at rest of at least 1 min")
+        finish = dialog.get_by_role("button", name="Finish")
+        await expect(finish).to_be_disabled()
+        await expect(finish).to_be_enabled(timeout=300_000)
+        await finish.click()
+        await expect(dialog.locator(".verdict")).to_be_visible(timeout=300_000)
+        assert await dialog.locator(".verdict.good").count(), await dialog.inner_text()
+        await expect(dialog).to_contain_text("gyroscope, white")
+        await dialog.get_by_role("button", name="Use it").click()
+        await expect(dialog).to_contain_text("The robot tells these numbers now")
+        told = (await desk.http.get("/calibration")).json()["imu"]
+        assert told["gyro_noise_density"] == pytest.approx(REFERENCE_IMU.gyro_density, rel=0.1)
+        assert told["accel_noise_density"] == pytest.approx(REFERENCE_IMU.accel_density, rel=0.1)

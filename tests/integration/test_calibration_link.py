@@ -126,7 +126,7 @@ async def test_a_result_of_another_robot_is_not_written_into_the_present_one(tmp
         before = (await desk.http.get("/calibration")).json()
         assert REFERENCE_ROBOT.camera is not None
         desk.station.first.guided_calibration.session = CalibrationSession(
-            "cal-1", "camera", TARGET, tmp_path, REFERENCE_ROBOT.camera, "another", state="done", result=GOOD
+            "cal-1", "camera", TARGET, tmp_path, REFERENCE_ROBOT, "another", state="done", result=GOOD
         )
         answer = await desk.http.post("/calibration/use", json={"session": "cal-1"})
         assert is_problem(answer, 409) and "another robot" in answer.json()["detail"]
@@ -187,7 +187,7 @@ async def test_a_navigation_keeps_the_calibration_it_was_made_with(tmp_path: Pat
             assert REFERENCE_ROBOT.camera is not None
             camera = msgspec.structs.replace(REFERENCE_ROBOT.camera, fx=1001.5)
             new = msgspec.structs.replace(REFERENCE_ROBOT, camera=camera)
-            assert await other.commands.use_calibration(new) is None
+            assert await other.commands.use_calibration(new, REFERENCE_ROBOT) is None
         over = await wait_for(desk, f"/navigations/{drive['id']}", lambda d: d["state"] in ("ready", "failed"))
         assert over["state"] == "ready" and "another calibration" in over["message"]
         folder = desk.station.navigations.library.folder(drive["id"])
@@ -199,6 +199,20 @@ async def test_a_navigation_keeps_the_calibration_it_was_made_with(tmp_path: Pat
         await wait_for(desk, f"/navigations/{again['id']}", lambda d: d["state"] in ("ready", "failed"))
         recording = desk.station.navigations.library.folder(again["id"]) / "recording.mcap"
         assert focal(open_dataset(recording).calibration) == 1001.5
+
+
+async def test_an_order_made_of_what_the_robot_tells_no_more_is_refused(tmp_path: Path) -> None:
+    async with at_work(tmp_path) as (desk, bench, _), linked(bench.port) as (other, _notes):
+        await until(lambda: other.state.connected)
+        assert (await desk.http.post("/calibration/use", json=LENS)).status_code == 200
+        outdated = msgspec.structs.replace(REFERENCE_ROBOT, camera=None)  # as if our change had not reached it yet
+        for wanted in (REFERENCE_ROBOT, None):
+            refusal = await other.commands.use_calibration(wanted, outdated)
+            assert refusal is not None and "meanwhile" in refusal.message
+        assert (await desk.http.get("/calibration")).json()["camera"]["intrinsics"][0] == 1001.5
+        assert other.state.hello is not None
+        assert await other.commands.use_calibration(None, other.state.hello.calibration) is None
+        await wait_for(desk, "/calibration", lambda told: told["camera"]["intrinsics"][0] == 1083.4)
 
 
 async def test_the_calibration_is_fetched_as_our_file_and_as_kalibrs(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from station.datasets import open_dataset
 from station.workers.worker import Worker
 from tests.support.board_bench import BUILT, HELD, TOLD, before_a_board
-from tests.support.link import until
+from tests.support.link import linked, until
 from tests.support.station import running_station
 from tests.support.station_at_work import drive_off, is_problem, wait_for
 
@@ -84,6 +84,48 @@ async def test_the_robot_stands_while_a_board_is_held_before_it(tmp_path: Path) 
         assert (await http.post("/drive", json=forward | {"linear": 0.0})).status_code == 200
         await http.delete(f"/calibration/sessions/{begun.json()['id']}")
         await drive_off(bench, lambda: http.post("/drive", json=forward))
+
+
+async def test_wheels_are_measured_while_the_robot_drives_and_an_imu_without_a_board_while_it_stands(
+    tmp_path: Path,
+) -> None:
+    async with before_a_board(tmp_path) as (desk, bench, _):
+        http = desk.http
+        forward = {"linear": 0.1, "angular": 0.0, "ttl_ms": 1000}
+        begun = await http.post("/calibration/sessions", json=ORDER | {"kind": "wheels"})
+        assert begun.status_code == 201, begun.text
+        path = f"/calibration/sessions/{begun.json()['id']}"
+        seen = (await wait_for(desk, path, lambda s: s["seen"] is not None))["seen"]
+        assert set(seen["poses"]) == {"forth", "back", "left", "right"} and not seen["may_finish"]
+        await drive_off(bench, lambda: http.post("/drive", json=forward))
+        await wait_for(desk, path, lambda s: "let go" in s["seen"]["instruction"])
+        await http.delete(path)
+        await http.post("/stop")
+        assert is_problem(await http.post("/calibration/sessions", json=ORDER | {"kind": "imu"}), 422)
+        begun = await http.post("/calibration/sessions", json={"kind": "imu"})
+        assert begun.status_code == 201, begun.text
+        refused = await http.post("/drive", json=forward)
+        assert is_problem(refused, 409) and "at rest" in refused.json()["detail"]
+        path = f"/calibration/sessions/{begun.json()['id']}"
+        seen = (await wait_for(desk, path, lambda s: s["seen"] is not None))["seen"]
+        assert set(seen["poses"]) == {"time"} and not seen["may_finish"]
+
+
+async def test_no_other_station_drives_while_a_board_is_held_before_the_robot(tmp_path: Path) -> None:
+    async with before_a_board(tmp_path) as (desk, bench, _), linked(bench.port, "other") as (other, notes):
+        begun = (await desk.http.post("/calibration/sessions", json=ORDER)).json()
+        assert bench.server is not None
+        await until(lambda: bench.server.desk.is_handled)
+        async with asyncio.timeout(60):
+            while not any("handles the robot" in notice.message for notice in notes.notices):
+                other.commands.drive(0.1, 0.0, 200)
+                await asyncio.sleep(0.05)
+        assert bench.motors.are_off
+        await desk.http.delete(f"/calibration/sessions/{begun['id']}")
+        async with asyncio.timeout(60):
+            while bench.motors.are_off:
+                other.commands.drive(0.1, 0.0, 200)
+                await asyncio.sleep(0.05)
 
 
 async def test_the_board_is_printed_from_the_page(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import httpx
 import msgspec
 import numpy as np
 
@@ -58,18 +59,24 @@ class Showing:
         """Each as it is held until it was looked at, as a person does who waits for the page."""
         for number in range(len(self._pictures)):
             self.number = number
-            await looked_at(desk, time.monotonic_ns())
+            await looked_at(desk.http, time.monotonic_ns())
 
 
-async def looked_at(desk: Desk, t_robot_ns: int) -> None:
-    """Until three pictures from this time on were looked at: one may be on its way, two show that it is still."""
+async def looked_at(http: httpx.AsyncClient, t_robot_ns: int) -> dict[str, Any]:
+    """Until three pictures from this time on were looked at: one may be on its way, two show that it is still.
+
+    Returns what the newest shows.
+    """
     looks: set[int] = set()
+    seen: dict[str, Any] | None = None
     while len(looks) < 3:
-        [session] = (await desk.http.get("/calibration/sessions")).json()
-        seen = session["seen"]
+        sessions = (await http.get("/calibration/sessions")).json()  # none: it is just being begun
+        seen = sessions[0]["seen"] if sessions else None
         if seen is not None and seen["t_robot_ns"] > t_robot_ns:
             looks.add(seen["t_robot_ns"])
         await asyncio.sleep(0.05)
+    assert seen is not None
+    return seen
 
 
 def _jpeg(image: Any) -> bytes:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import msgspec
 from pydantic import Field, model_validator
 
 from shared.calibration import Calibration, CameraCalibration, ImuNoise
+from shared.calibration_yaml import calibration_text
 from shared.errors import ConfigError
 from station.api.schema.base import Model, Number, Question
 from station.api.schema.robot import CalibrationFitModel, calibration_fit_model
@@ -47,11 +48,19 @@ class ImuModel(Model):
     rate_hz: float
 
 
+class WheelsModel(Model):
+    """What the motors make of a command by themselves; the robot asks them for that much more."""
+
+    speed: float = Field(description="m/s over ground for each commanded one")
+    turn: float = Field(description="rad/s likewise")
+
+
 class CalibrationModel(Model):
     """What the robot tells of its sensors now, where that comes from, and whether it fits what was driven."""
 
     camera: CameraModel | None
     imu: ImuModel | None
+    wheels: WheelsModel = Field(description="1 and 1: not measured")
     rig: Literal["wheels", "hand-held", "unknown"]
     source: str = Field(description="where the robot has it from", examples=["its calibration.yaml"])
     can_undo: bool = Field(description="the one before it is kept: POST /calibration/undo")
@@ -80,19 +89,27 @@ class ImuOrder(Question):
     accel_random_walk: Density | None = None
 
 
+class WheelsOrder(Question):
+    """What is left out stays as the robot tells it now; 1 where it tells nothing."""
+
+    speed: Number | None = None
+    turn: Number | None = None
+
+
 class CalibrationOrder(Question):
     """In the fields and units that a calibration's result has."""
 
     camera: CameraOrder | None = None
     imu: ImuOrder | None = None
+    wheels: WheelsOrder | None = None
     session: str | None = Field(default=None, max_length=100, description="the result of this guided calibration")
 
     @model_validator(mode="after")
     def _says_something(self) -> Self:
-        parts = [part for part in (self.camera, self.imu) if part is not None]
+        parts = [part for part in (self.camera, self.imu, self.wheels) if part is not None]
         has_numbers = any(value is not None for part in parts for _, value in part)
         if has_numbers == (self.session is not None):
-            raise ValueError("give at least one number of the camera or the IMU, or else a session")
+            raise ValueError("give at least one number of camera, IMU or wheels, or else a session")
         return self
 
 
@@ -117,7 +134,15 @@ class TargetOrder(Question):
 
 class SessionOrder(Question):
     kind: GuidedKind = "camera"
-    target: TargetOrder = Field(examples=[{"kind": "aprilgrid", "size": "A4"}])
+    target: TargetOrder | None = Field(
+        default=None, description="none for kind imu", examples=[{"kind": "aprilgrid", "size": "A4"}]
+    )
+
+    @model_validator(mode="after")
+    def _has_a_board(self) -> Self:
+        if (self.target is None) != (self.kind == "imu"):
+            raise ValueError("give the board that is shown, or none for kind imu")
+        return self
 
 
 class MeterModel(Model):
@@ -139,13 +164,14 @@ class BoardSeenModel(Model):
     is_taken: bool = Field(description="this view counts")
     num_views: int = Field(description="that count")
     cells: list[float] = Field(
-        description="how full each of the 3x3 cells of the picture is, 0..1, by rows; none for camera-imu"
+        description="how full each of the 3x3 cells of the picture is, 0..1, by rows; only for kind camera"
     )
     poses: dict[str, float] = Field(
         description="how many of the wanted views of each pose there are, 0..1; for camera-imu tilt, turn, roll, "
-        "distance and time: how much of each wanted motion"
+        "distance and time: how much of each wanted motion; for wheels forth, back, left, right; for imu time at rest"
     )
     meter: list[MeterModel]
+    may_finish: bool = Field(description="there may be enough to estimate from")
     is_enough: bool
 
 
@@ -199,6 +225,65 @@ class MountingResult(Model):
     notes: list[str] = Field(description="what was not used of the recording")
 
 
+class FactorResult(Model):
+    """Achieved over commanded, from several moves."""
+
+    value: float
+    sigma: float
+    scatter: float = Field(description="of a single move, relative")
+    moves: int
+
+
+class WheelsResult(Model):
+    """What the wheels make of a command, as the robot drove when it began."""
+
+    speed: FactorResult | None
+    turn: FactorResult | None
+    lag_s: float | None = Field(description="of two equal lags one after the other, motor and gear")
+    lag_sigma_s: float | None
+    accepted: bool
+    reasons: list[str]
+
+
+class FigureResult(Model, extra="ignore"):
+    """One figure of the three axes together."""
+
+    value: float | None = Field(description="null: only an upper limit is known")
+    interval: list[float] = Field(description="95 %")
+    unit: str
+
+
+class UsedNoise(Model):
+    gyro_noise_density: float
+    gyro_random_walk: float
+    accel_noise_density: float
+    accel_random_walk: float
+    rate_hz: float
+
+
+class AccelerometerResult(Model, extra="ignore"):
+    """By the rests on several sides. The robot tells none of it: nothing corrects readings by it."""
+
+    scale: list[float]
+    misalignment: list[float] | None = Field(description="rad; null: too few sides")
+    bias: list[float] = Field(description="m/s²")
+
+
+class ImuResult(Model, extra="ignore"):
+    """What a recording at rest came to; in `result.json` is all of it, axis by axis."""
+
+    gyro_noise_density: FigureResult | None
+    gyro_random_walk: FigureResult | None
+    accel_noise_density: FigureResult | None
+    accel_random_walk: FigureResult | None
+    used: UsedNoise | None = Field(description="what the estimation is told")
+    accelerometer: AccelerometerResult | None = Field(description="null: it did not lie on enough sides")
+    duration_s: float
+    accepted: bool
+    reasons: list[str]
+    notes: list[str] = Field(description="what it cannot tell, or what was cut out of it")
+
+
 class CalibrationSessionModel(Model):
     """A guided calibration, as far as it is."""
 
@@ -211,6 +296,9 @@ class CalibrationSessionModel(Model):
     job: str = Field(description="that estimates; empty: not yet")
     result: CameraResult | None = Field(description="of kind camera")
     mounting: MountingResult | None = Field(description="the result of kind camera-imu")
+    wheels: WheelsResult | None = Field(description="the result of kind wheels")
+    imu: ImuResult | None = Field(description="the result of kind imu")
+    is_used: bool = Field(description="the robot tells this result now")
     recording: str = Field(description="the path of what was recorded")
 
 
@@ -223,6 +311,7 @@ def calibration_model(robot: RobotSession) -> CalibrationModel:
     return CalibrationModel(
         camera=None if told.camera is None else _camera_model(told.camera),
         imu=None if told.imu is None else _imu_model(told.imu),
+        wheels=WheelsModel.of(told.wheel_factors),
         rig=told.rig,
         source="its own settings" if origin is None else origin.source,
         can_undo=origin is not None and origin.can_undo,
@@ -231,24 +320,27 @@ def calibration_model(robot: RobotSession) -> CalibrationModel:
     )
 
 
-def session_model(session: CalibrationSession) -> CalibrationSessionModel:
-    seen, told = session.seen, session.told
+def session_model(session: CalibrationSession, robot: RobotSession) -> CalibrationSessionModel:
+    seen, camera, hello = session.seen, session.told.camera, robot.state.hello
     return CalibrationSessionModel.of(
         session,
-        resolution=[told.width, told.height],
+        resolution=[] if camera is None else [camera.width, camera.height],
         seen=None if seen is None else _seen_model(seen),
-        result=_camera_result(session) if session.kind == "camera" else None,
-        mounting=_mounting_result(session) if session.kind == "camera-imu" else None,
+        result=_result(session, "camera", CameraResult),
+        mounting=_result(session, "camera-imu", MountingResult),
+        wheels=_result(session, "wheels", WheelsResult),
+        imu=_result(session, "imu", ImuResult),
+        is_used=hello is not None and _is_used(session, hello.calibration),
         recording=f"/calibration/sessions/{session.id}/{RECORDING}",
     )
 
 
-def _camera_result(session: CalibrationSession) -> CameraResult | None:
-    return None if session.result is None else CameraResult.model_validate(session.result)
+Result = TypeVar("Result", bound=Model)
 
 
-def _mounting_result(session: CalibrationSession) -> MountingResult | None:
-    return None if session.result is None else MountingResult.model_validate(session.result)
+def _result(session: CalibrationSession, kind: GuidedKind, model: type[Result]) -> Result | None:
+    """What a session of that kind came to."""
+    return None if session.result is None or session.kind != kind else model.model_validate(session.result)
 
 
 def _seen_model(seen: BoardSeen) -> BoardSeenModel:
@@ -271,24 +363,44 @@ def ordered_board(order: TargetOrder) -> Target | PrintedBoard:
         raise OutOfRange(str(exc)) from exc
 
 
+def _is_used(session: CalibrationSession, told: Calibration) -> bool:
+    """Whether using it would change nothing, by the words of the robot's file."""
+    if session.result is None or not session.result["accepted"]:
+        return False
+    try:
+        return calibration_text(ordered_calibration(told, order_of_result(session))) == calibration_text(told)
+    except (Conflict, OutOfRange):
+        return False
+
+
 def order_of_result(session: CalibrationSession) -> CalibrationOrder:
     """Raises Conflict: there is no result that may be used."""
-    result = _camera_result(session) if session.kind == "camera" else _mounting_result(session)
-    if result is None:
+    if session.result is None:
         raise Conflict(f"this calibration has no result ({session.message or session.state})")
-    if not result.accepted:
-        raise Conflict(f"this result is not good enough: {'; '.join(result.reasons)}")
-    mounting = result if isinstance(result, MountingResult) else None
-    camera = CameraOrder(
-        model=result.model,
-        resolution=result.resolution,
-        intrinsics=result.intrinsics,
-        distortion=result.distortion,
-        line_delay_s=result.line_delay_s,
-        T_body_cam=None if mounting is None else mounting.T_body_cam,
-        time_shift_s=None if mounting is None else mounting.time_shift_s,
+    if not session.result["accepted"]:
+        raise Conflict(f"this result is not good enough: {'; '.join(session.result['reasons'])}")
+    if (lens := _result(session, "camera", CameraResult)) is not None:
+        return CalibrationOrder(camera=_lens_order(lens))
+    if (mounting := _result(session, "camera-imu", MountingResult)) is not None:
+        placed = {"T_body_cam": mounting.T_body_cam, "time_shift_s": mounting.time_shift_s}
+        return CalibrationOrder(camera=_lens_order(mounting).model_copy(update=placed))
+    if (wheels := _result(session, "wheels", WheelsResult)) is not None and wheels.speed and wheels.turn:
+        before = session.told.wheel_factors  # what the robot drove with
+        turn = before.turn * wheels.turn.value
+        return CalibrationOrder(wheels=WheelsOrder(speed=before.speed * wheels.speed.value, turn=turn))
+    if (imu := _result(session, "imu", ImuResult)) is not None and imu.used is not None:
+        return CalibrationOrder(imu=ImuOrder(**imu.used.model_dump(exclude={"rate_hz"})))
+    raise Conflict("this result holds no number that the robot could tell")
+
+
+def _lens_order(found: CameraResult | MountingResult) -> CameraOrder:
+    return CameraOrder(
+        model=found.model,
+        resolution=found.resolution,
+        intrinsics=found.intrinsics,
+        distortion=found.distortion,
+        line_delay_s=found.line_delay_s,
     )
-    return CalibrationOrder(camera=camera)
 
 
 def _camera_model(camera: CameraCalibration) -> CameraModel:
@@ -313,7 +425,7 @@ def _imu_model(imu: ImuNoise) -> ImuModel:
 
 def ordered_calibration(told: Calibration, order: CalibrationOrder) -> Calibration:
     """The told calibration with what was ordered. Raises OutOfRange."""
-    camera, imu = told.camera, told.imu
+    camera, imu, wheels = told.camera, told.imu, told.wheels
     if (order.camera is not None and camera is None) or (order.imu is not None and imu is None):
         raise OutOfRange("the robot has no such sensor; GET /calibration shows those it has")
     try:
@@ -323,9 +435,12 @@ def ordered_calibration(told: Calibration, order: CalibrationOrder) -> Calibrati
             camera = msgspec.structs.replace(camera, **_camera_changes(order.camera))
         if order.imu is not None and imu is not None:
             imu = msgspec.structs.replace(imu, **_imu_changes(order.imu))
+        if order.wheels is not None:
+            given = order.wheels.model_dump(exclude_none=True)
+            wheels = msgspec.structs.replace(told.wheel_factors, **given)
     except ConfigError as exc:
         raise OutOfRange(str(exc)) from exc
-    return msgspec.structs.replace(told, camera=camera, imu=imu)
+    return msgspec.structs.replace(told, camera=camera, imu=imu, wheels=wheels)
 
 
 def _camera_changes(order: CameraOrder) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from station.calibration.target import BoardView, Target
 from station.vision.lens import Lens
 
 WANTED_S = 30.0  # of the target in view
+LEAST_TIME = 0.5  # of that; less is hardly ever accepted
 WANTED_TURN_RAD = 6.0  # about each axis, to and fro: twice what the verdict asks of 30 s
 WANTED_SWING = 0.3  # of the distance: pushes the accelerometer, which tells where it sits
 MAX_GAP_S = 1.0  # between two pictures: longer ago, and how it turned meanwhile is not known
@@ -85,4 +86,4 @@ class WavingGuide:
     def _guidance(self, instruction: str, is_taken: bool) -> Guidance:
         shares = self._shares()
         is_enough = all(share >= 1.0 for share in shares.values())
-        return Guidance(instruction, is_taken, len(self.views), (), shares, is_enough)
+        return Guidance(instruction, is_taken, len(self.views), (), shares, shares[TIME] >= LEAST_TIME, is_enough)

@@ -28,7 +28,7 @@ const library = new Library({
 const health = new HealthView(library);
 const log = new EventLog();
 const places = new PlaceView();
-const calibrate = new CalibrateDialog(video.canvas, (say) => drive.emergencyStop("STOP", say));
+const calibrate = new CalibrateDialog(video.canvas, drive.pad, (say) => drive.emergencyStop("STOP", say));
 const plan = new PlanView((place) => places.open(place));
 const map = makeMap();
 

@@ -2,59 +2,18 @@
 import { call } from "../link/api";
 import type { CalibrationModel, CalibrationSessionModel, JobModel } from "../link/messages";
 import { by, context2d, make, present, setText, show } from "../ui/dom";
-import { capitalised } from "../ui/text";
+import { capitalised, count } from "../ui/text";
 import { attempt } from "../ui/toast";
-import { drawLooking } from "./overlay";
+import { BoardChoice } from "./board";
+import { after, CHOICES, GUIDED, type Kind } from "./kinds";
 import { mountingOf } from "./mounting";
-import { link, presentOf, progressOf, resultOf } from "./parts";
+import { imuOf, wheelsOf } from "./outcome";
+import { drawLooking } from "./overlay";
+import { choice, link, presentOf, progressOf, resultOf } from "./parts";
 
-type Kind = CalibrationSessionModel["kind"];
-
-const LEAST_VIEWS = 6;
-const LEAST_TIME = 0.5; // of the seconds that are wanted
-const TITLES: Record<Kind, string> = {
-  camera: "Calibrate the camera",
-  "camera-imu": "Calibrate camera and IMU",
-};
-const WHAT: [Kind, string][] = [["camera", "Camera: its lens"]];
-const STEPS: Record<Kind, string[]> = {
-  camera: [
-    "Glue it onto something flat: a board, a window pane. A bent one is noticed and refused.",
-    "Turn the camera's focus ring until the picture is sharp; from now on leave it.",
-    "Hold the board before the camera, and do what the page says.",
-  ],
-  "camera-imu": [
-    "Calibrate the camera first: its lens must be known.",
-    "Fix the board to a wall, flat and in good light. It must not move.",
-    "Take the robot into your hand and wave it before the board for half a minute, as the page says.",
-  ],
-};
-const BEGINNINGS: Record<Kind, string> = {
-  camera: "Hold the board before the camera",
-  "camera-imu": "Hold the robot before the board",
-};
-const ESTIMATING: Record<Kind, string> = {
-  camera: "The camera is being estimated",
-  "camera-imu": "Camera and IMU are being estimated",
-};
-const KINDS: [string, string][] = [
-  ["aprilgrid", "AprilGrid: may be seen in part"],
-  ["charuco", "ChArUco: may be seen in part"],
-  ["chessboard", "Chessboard: must be seen whole"],
-];
-const OTHER = "other";
-const SIZES: [string, string][] = [
-  ["A4", "A4"],
-  ["A3", "A3"],
-  ["Letter", "Letter"],
-  [OTHER, "Another board, measured"],
-];
-const MEASURED: [string, string][] = [
-  ["Columns", "6"],
-  ["Rows", "6"],
-  ["Tag or square, mm", "24"],
-  ["Gap or marker, mm", "7.2"],
-];
+interface Outcome {
+  accepted: boolean;
+}
 
 /** One dialog, drawn anew for each step; while the board is looked at, only what changes. */
 export class CalibrateDialog {
@@ -62,10 +21,13 @@ export class CalibrateDialog {
   private session: CalibrationSessionModel | null = null;
   private told: CalibrationModel | null = null;
   private step = "";
+  private newest: Kind = "camera"; // what was begun last: "Again" is of the same
+  private next: Kind | null = null; // chosen after a result; the session of that is forgotten when this one begins
   private isWaiting = false; // for the station's answer to a button
 
   constructor(
     private readonly video: HTMLCanvasElement,
+    private readonly pad: HTMLElement,
     private readonly stop: (say: (text: string) => void) => void,
   ) {
     by("calibrate").addEventListener("click", () => attempt(() => this.open()));
@@ -79,14 +41,18 @@ export class CalibrateDialog {
   async open(): Promise<void> {
     await this.reload();
     this.step = "";
+    this.next = null;
     this.dialog.showModal();
     this.draw();
   }
 
   /** The station told how it stands. */
   show(session: CalibrationSessionModel | null): void {
-    this.session = session;
-    if (this.dialog.open) this.draw();
+    const wasUsed = this.session?.is_used;
+    this.take(session);
+    if (!this.dialog.open) return;
+    this.draw();
+    if (session && session.is_used !== Boolean(wasUsed)) attempt(() => this.refresh()); // perhaps on another page
   }
 
   showJob(job: JobModel): void {
@@ -103,26 +69,44 @@ export class CalibrateDialog {
       call<CalibrationSessionModel[]>("GET", "/calibration/sessions"),
     ]);
     this.told = told;
-    this.session = sessions[0] ?? null;
+    this.take(sessions[0] ?? null);
+  }
+
+  private async refresh(): Promise<void> {
+    await this.reload();
+    this.step = "";
+    this.draw();
+  }
+
+  private take(session: CalibrationSessionModel | null): void {
+    this.session = session;
+    if (session) this.newest = session.kind;
+    if (session?.state === "looking") this.next = null; // begun here or on another page
   }
 
   private draw(): void {
-    const step = this.session ? `${this.session.id} ${this.session.state}` : "start";
+    const step =
+      this.next ??
+      (this.session ? `${this.session.id} ${this.session.state} ${String(this.session.is_used)}` : "start");
     if (step !== this.step) {
       this.step = step;
-      const title = this.session ? TITLES[this.session.kind] : "Calibrate";
-      this.dialog.replaceChildren(make("h2", {}, title), ...this.content(), this.stopping());
+      const title = this.session && !this.next ? GUIDED[this.session.kind].title : "Calibrate";
+      const content = this.content();
+      const buttons = content.pop();
+      const footer = make("div", { class: "footer" }, this.stopping(), buttons);
+      this.dialog.replaceChildren(make("h2", {}, title), ...content, footer);
     }
     if (this.session?.state === "looking") this.drawProgress(this.session);
   }
 
   private content(): (Node | string)[] {
+    if (this.next) return this.startContent(this.next);
     switch (this.session?.state) {
       case "looking":
         return this.lookingContent(this.session);
       case "estimating":
         return [
-          make("p", { class: "instruction", role: "status" }, ESTIMATING[this.session.kind]),
+          make("p", { class: "instruction", role: "status" }, GUIDED[this.session.kind].estimating),
           make("progress", { class: "estimate", max: "1", value: "0", "aria-label": "Estimate" }),
           this.buttons(this.closing()),
         ];
@@ -130,49 +114,32 @@ export class CalibrateDialog {
       case "failed":
         return this.resultContent(this.session);
       default:
-        return this.startContent();
+        return this.startContent(this.newest);
     }
   }
 
-  private startContent(): (Node | string)[] {
-    const what = choice("What", WHAT);
-    const kind = choice("Board", KINDS);
-    const size = choice("Paper", SIZES);
-    const print = link("/calibration/target.pdf", "Board to print (PDF)");
-    const measured = MEASURED.map(([, value]) =>
-      make("input", { type: "number", step: "any", min: "1", required: true, value }),
-    );
-    const other = make(
-      "div",
-      { class: "fields" },
-      ...MEASURED.map(([label], i) => make("label", {}, label, measured[i])),
-    );
+  private startContent(chosen: Kind): (Node | string)[] {
+    const what = choice("What", CHOICES);
+    what.select.value = chosen;
+    const board = new BoardChoice();
     const steps = make("ol", { class: "steps" });
     const asked = () => what.select.value as Kind;
     const refresh = () => {
-      const printing = make("li", {}, "Print the board at 100 %, and check the ruler on it. ", print);
-      steps.replaceChildren(printing, ...STEPS[asked()].map((step) => make("li", {}, step)));
-      const isOther = size.select.value === OTHER;
-      show(other, isOther);
-      show(print, !isOther);
-      print.href = `/calibration/target.pdf?kind=${kind.select.value}&size=${size.select.value}`;
+      const guided = GUIDED[asked()];
+      const printing = make("li", {}, "Print the board at 100 %, and check the ruler on it. ", board.print);
+      show(board.node, guided.looks);
+      steps.replaceChildren(...present(guided.looks && printing, ...guided.steps.map((step) => make("li", {}, step))));
     };
-    for (const { select } of [what, kind, size]) select.addEventListener("change", refresh);
+    what.select.addEventListener("change", refresh);
     refresh();
-    const numbers = () => {
-      const [columns, rows, square = NaN, gap = NaN] = measured.map((input) => Number(input.value));
-      const more = { aprilgrid: { gap_m: gap / 1000 }, charuco: { marker_m: gap / 1000 }, chessboard: {} };
-      return { columns, rows, square_m: square / 1000, ...more[kind.select.value as keyof typeof more] };
-    };
     const begin = () => {
-      const board = size.select.value === OTHER ? numbers() : { size: size.select.value };
-      const target = { kind: kind.select.value, ...board };
+      const target = GUIDED[asked()].looks ? board.target : null;
       return this.change(() => call("POST", "/calibration/sessions", { kind: asked(), target }));
     };
     return [
       ...(this.told ? presentOf(this.told) : []),
-      make("div", { class: "fields" }, what.label, kind.label, size.label),
-      other,
+      make("div", { class: "fields" }, what.label),
+      board.node,
       steps,
       this.buttons(this.closing(), this.undoing(), this.button("Begin", begin, "primary")),
     ];
@@ -181,12 +148,25 @@ export class CalibrateDialog {
   private lookingContent(session: CalibrationSessionModel): (Node | string)[] {
     const giveUp = () => this.change(() => call("DELETE", `/calibration/sessions/${session.id}`));
     const finish = () => this.change(() => call("POST", `/calibration/sessions/${session.id}/finish`));
-    return [
-      make("p", { class: "instruction", role: "status", "aria-live": "polite" }, BEGINNINGS[session.kind]),
-      make("canvas", { class: "board", width: "640", height: "480", role: "img", "aria-label": "The board, as seen" }),
+    const guided = GUIDED[session.kind];
+    return present(
+      make("p", { class: "instruction", role: "status", "aria-live": "polite" }, guided.beginning),
+      guided.looks &&
+        make("canvas", {
+          class: "board",
+          width: "640",
+          height: "480",
+          role: "img",
+          "aria-label": "The board, as seen",
+        }),
       make("div", { class: "progress-of" }),
-      this.buttons(this.button("Give up", giveUp, "quiet apart"), this.button("Finish", finish, "primary finish")),
-    ];
+      session.kind === "wheels" && this.pad,
+      this.buttons(
+        this.button("Give up", giveUp, "quiet apart"),
+        session.kind === "imu" && this.closing(),
+        this.button("Finish", finish, "primary finish"),
+      ),
+    );
   }
 
   private drawProgress(session: CalibrationSessionModel): void {
@@ -196,9 +176,8 @@ export class CalibrateDialog {
       find(this.dialog, ".progress-of", HTMLElement).replaceChildren(...progressOf(seen, session.kind));
     }
     const finish = find(this.dialog, ".finish", HTMLButtonElement);
-    const [isEnough, text] = finishing(session);
-    finish.disabled = this.isWaiting || !isEnough;
-    setText(finish, text);
+    finish.disabled = this.isWaiting || !seen?.may_finish;
+    setText(finish, finishText(session));
   }
 
   private drawPicture(): void {
@@ -209,13 +188,21 @@ export class CalibrateDialog {
   }
 
   private resultContent(session: CalibrationSessionModel): (Node | string)[] {
-    const result = session.result ?? session.mounting;
+    const result = outcomeOf(session);
     const use = () => this.change(() => call("POST", "/calibration/use", { session: session.id }));
-    const isTold = this.isTold(session);
+    const isTold = session.is_used;
+    const following = after(session.kind);
+    const goOn = () => {
+      this.next = following;
+      this.draw();
+      return Promise.resolve();
+    };
     const again = () => this.change(() => call("DELETE", `/calibration/sessions/${session.id}`));
     return present(
       ...(session.result ? resultOf(session, session.result) : []),
       ...(session.mounting ? mountingOf(session, session.mounting) : []),
+      ...(session.wheels ? wheelsOf(session, session.wheels) : []),
+      ...(session.imu ? imuOf(session, session.imu) : []),
       ...(result ? [] : [make("p", { class: "verdict bad", role: "status" }, capitalised(session.message))]),
       isTold &&
         make("p", { class: "note", role: "status" }, "The robot tells these numbers now; the ones before are kept."),
@@ -225,7 +212,9 @@ export class CalibrateDialog {
         make("span", { class: "note" }, "Download"),
         result?.accepted && link(`/calibration/sessions/${session.id}/result.json`, "Result", "result.json"),
         isTold && link("/calibration/file", "calibration.yaml", "calibration.yaml"),
-        isTold && link("/calibration/file?format=camchain", "kalibr", "camchain-imucam.yaml"),
+        isTold &&
+          GUIDED[session.kind].looks &&
+          link("/calibration/file?format=camchain", "kalibr", "camchain-imucam.yaml"),
         link(session.recording, "Recording", "recording.mcap"),
       ),
       this.buttons(
@@ -233,15 +222,9 @@ export class CalibrateDialog {
         this.closing(),
         isTold ? this.undoing() : null,
         result?.accepted && !isTold ? this.button("Use it", use, "primary") : null,
+        isTold && following ? this.button(`Next: ${GUIDED[following].next}`, goOn, "primary") : null,
       ),
     );
-  }
-
-  private isTold(session: CalibrationSessionModel): boolean {
-    const camera = this.told?.camera;
-    const result = session.result ?? session.mounting;
-    if (!camera || !result || String(camera.intrinsics) !== String(result.intrinsics)) return false;
-    return !session.mounting || String(camera.T_body_cam) === String(session.mounting.T_body_cam);
   }
 
   private undoing(): HTMLElement | null {
@@ -256,8 +239,8 @@ export class CalibrateDialog {
     return make(
       "div",
       { class: "stopping" },
-      said,
       make("button", { type: "button", class: "stop", onclick: press }, "STOP"),
+      said,
     );
   }
 
@@ -269,7 +252,7 @@ export class CalibrateDialog {
     return make("button", { type: "button", class: kind, onclick: () => attempt(act) }, text);
   }
 
-  private buttons(...children: (Node | null)[]): HTMLElement {
+  private buttons(...children: (Node | null | false)[]): HTMLElement {
     return make("div", { class: "row end wrap" }, ...children);
   }
 
@@ -281,28 +264,20 @@ export class CalibrateDialog {
       await ask();
     } finally {
       this.isWaiting = false;
-      await this.reload();
-      this.step = "";
-      this.draw();
+      await this.refresh();
     }
   }
 }
 
-/** Whether there may be enough to estimate from, and what the button says. */
-function finishing({ kind, seen }: CalibrationSessionModel): [boolean, string] {
+/** How many views or moves count, on the button. */
+function finishText({ kind, seen }: CalibrationSessionModel): string {
   const views = seen?.num_views ?? 0;
-  if (kind === "camera-imu") {
-    const time = seen?.poses.time ?? 0;
-    return [time >= LEAST_TIME, time >= LEAST_TIME ? "Finish" : `Finish (${Math.floor(100 * time)} %)`];
-  }
-  if (views < LEAST_VIEWS) return [false, `Finish (${views} of ${LEAST_VIEWS} views)`];
-  return [true, `Finish (${views} views)`];
+  return kind === "camera" ? `Finish (${count(views, "view")})` : "Finish";
 }
 
-function choice(text: string, options: [string, string][]): { select: HTMLSelectElement; label: HTMLElement } {
-  const select = make("select", {}, ...options.map(([value, name]) => make("option", { value }, name)));
-  return { select, label: make("label", {}, text, select) };
-}
+/** What it came to, whatever was calibrated. */
+const outcomeOf = (session: CalibrationSessionModel): Outcome | null =>
+  session.result ?? session.mounting ?? session.wheels ?? session.imu;
 
 function find<T extends HTMLElement>(node: HTMLElement, selector: string, kind: new () => T): T {
   const found = node.querySelector(selector);

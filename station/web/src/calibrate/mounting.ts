@@ -1,7 +1,7 @@
 // What the calibration of camera and IMU came to.
 import type { CalibrationSessionModel, MountingResult } from "../link/messages";
 import { make, present } from "../ui/dom";
-import { fixed, residualsOf, verdictOf } from "./parts";
+import { fixed, residualsOf, row, verdictOf } from "./parts";
 
 const MM = 1000;
 const MS = 1000;
@@ -29,8 +29,6 @@ export function mountingOf(session: CalibrationSessionModel, result: MountingRes
     ...result.notes.map((note) => make("p", { class: "note" }, note)),
   );
 }
-
-const row = (name: string, value: string): HTMLElement[] => [make("dt", {}, name), make("dd", {}, value)];
 
 function plusMinus(
   value: number | null | undefined,

@@ -9,33 +9,23 @@ import type {
 } from "../link/messages";
 import { make, present } from "../ui/dom";
 import { count } from "../ui/text";
+import { GUIDED } from "./kinds";
 
 type Content = Node | string;
 
-const POSES: Record<CalibrationSessionModel["kind"], [string, string][]> = {
-  camera: [
-    ["flat", "flat"],
-    ["near", "near"],
-    ["far", "far"],
-    ["left", "left edge"],
-    ["right", "right edge"],
-    ["upper", "upper edge"],
-    ["lower", "lower edge"],
-  ],
-  "camera-imu": [
-    ["tilt", "up, down"],
-    ["turn", "left, right"],
-    ["roll", "roll"],
-    ["distance", "near, far"],
-    ["time", "time"],
-  ],
-};
 const NUMBERS = ["fx", "fy", "cx", "cy"];
 
 export const link = (path: string, text: string, name = ""): HTMLAnchorElement =>
   make("a", { class: "small", href: toRobot(path), ...(name ? { download: name } : { target: "_blank" }) }, text);
 
+export function choice(text: string, options: [string, string][]): { select: HTMLSelectElement; label: HTMLElement } {
+  const select = make("select", {}, ...options.map(([value, name]) => make("option", { value }, name)));
+  return { select, label: make("label", {}, text, select) };
+}
+
 export const fixed = (value: number | null | undefined, digits: number): string => value?.toFixed(digits) ?? "?";
+
+export const row = (name: string, value: string): HTMLElement[] => [make("dt", {}, name), make("dd", {}, value)];
 
 /** How full something is, as a bar with its name. */
 function bar(text: string, share: number, note = ""): HTMLElement {
@@ -62,7 +52,7 @@ export function progressOf(seen: BoardSeenModel, kind: CalibrationSessionModel["
     make(
       "ul",
       { class: "bars", "aria-label": "Views" },
-      ...POSES[kind].map(([name, text]) => bar(text, seen.poses[name] ?? 0)),
+      ...GUIDED[kind].bars.map(([name, text]) => bar(text, seen.poses[name] ?? 0)),
     ),
     kind === "camera" &&
       make(

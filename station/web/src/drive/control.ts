@@ -98,7 +98,7 @@ export class DriveControl {
       mayDrive: this.line !== null,
       isConnected: this.isConnected,
       robot: this.robot,
-      dialogIsOpen: dialogIsOpen(),
+      dialogIsOpen: dialogIsOpen() && this.hands.pad.direction === null,
       listIsOpen: isList(document.activeElement),
       pictureAgeMs: this.video.ageMs,
     };
@@ -127,7 +127,13 @@ export class DriveControl {
     });
   }
 
+  /** Buttons to drive by, for a dialog that covers the joystick and has a STOP of its own. */
+  get pad(): HTMLElement {
+    return this.hands.pad.node;
+  }
+
   private say(text: string): void {
+    this.hands.pad.say(text);
     this.panel.say(text, this.line?.newestSeq ?? 0);
   }
 }

@@ -1,15 +1,18 @@
-// Everything a person may hold to drive; where several are held, the joystick counts before keys, and keys before a gamepad.
+// Everything a person may hold to drive; of several that are held, buttons and joystick count before keys, then a gamepad.
 import { GamepadStick } from "./gamepad";
 import { Keyboard, type KeyboardEvents } from "./keyboard";
+import { Pad } from "./pad";
 import { type Direction, type Hands, INTERRUPTION } from "./safety";
 import { Stick } from "./stick";
 
 export class PageHands implements Hands {
+  readonly pad: Pad; // in a dialog that wants driving
   private readonly stick: Stick;
   private readonly keyboard: Keyboard;
   private readonly gamepad: GamepadStick;
 
   constructor(events: KeyboardEvents) {
+    this.pad = new Pad(events.onChange, events.onInterruption);
     this.stick = new Stick(events.onChange, events.onInterruption);
     this.keyboard = new Keyboard(events);
     this.gamepad = new GamepadStick(events.onInterruption);
@@ -17,11 +20,11 @@ export class PageHands implements Hands {
   }
 
   get direction(): Direction | null {
-    return this.stick.direction ?? this.keyboard.direction ?? this.gamepad.direction;
+    return this.pad.direction ?? this.stick.direction ?? this.keyboard.direction ?? this.gamepad.direction;
   }
 
   release(): void {
-    for (const input of [this.stick, this.keyboard, this.gamepad]) input.release();
+    for (const input of [this.pad, this.stick, this.keyboard, this.gamepad]) input.release();
   }
 
   readGamepad(): void {

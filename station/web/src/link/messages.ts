@@ -1,5 +1,14 @@
 // Made by `python -m station.api.page_types` from station/api/schema and station/api/messages.py. Do not edit.
 
+/** By the rests on several sides. The robot tells none of it: nothing corrects readings by it. */
+export interface AccelerometerResult {
+  scale: number[];
+  /** rad; null: too few sides */
+  misalignment: number[] | null;
+  /** m/s² */
+  bias: number[];
+}
+
 /** Done. */
 export interface Accepted {
   ok: true;
@@ -40,11 +49,13 @@ export interface BoardSeenModel {
   is_taken: boolean;
   /** that count */
   num_views: number;
-  /** how full each of the 3x3 cells of the picture is, 0..1, by rows; none for camera-imu */
+  /** how full each of the 3x3 cells of the picture is, 0..1, by rows; only for kind camera */
   cells: number[];
-  /** how many of the wanted views of each pose there are, 0..1; for camera-imu tilt, turn, roll, distance and time: how much of each wanted motion */
+  /** how many of the wanted views of each pose there are, 0..1; for camera-imu tilt, turn, roll, distance and time: how much of each wanted motion; for wheels forth, back, left, right; for imu time at rest */
   poses: Record<string, number>;
   meter: MeterModel[];
+  /** there may be enough to estimate from */
+  may_finish: boolean;
   is_enough: boolean;
 }
 
@@ -74,6 +85,8 @@ export interface CalibrationMessage {
 export interface CalibrationModel {
   camera: CameraModel | null;
   imu: ImuModel | null;
+  /** 1 and 1: not measured */
+  wheels: WheelsModel;
   rig: "wheels" | "hand-held" | "unknown";
   /** where the robot has it from */
   source: string;
@@ -89,6 +102,7 @@ export interface CalibrationModel {
 export interface CalibrationOrder {
   camera: CameraOrder | null;
   imu: ImuOrder | null;
+  wheels: WheelsOrder | null;
   /** the result of this guided calibration */
   session: string | null;
 }
@@ -96,7 +110,7 @@ export interface CalibrationOrder {
 /** A guided calibration, as far as it is. */
 export interface CalibrationSessionModel {
   id: string;
-  kind: "camera" | "camera-imu";
+  kind: "camera" | "camera-imu" | "wheels" | "imu";
   state: "looking" | "estimating" | "done" | "failed";
   /** why it failed, in a sentence */
   message: string;
@@ -110,6 +124,12 @@ export interface CalibrationSessionModel {
   result: CameraResult | null;
   /** the result of kind camera-imu */
   mounting: MountingResult | null;
+  /** the result of kind wheels */
+  wheels: WheelsResult | null;
+  /** the result of kind imu */
+  imu: ImuResult | null;
+  /** the robot tells this result now */
+  is_used: boolean;
   /** the path of what was recorded */
   recording: string;
 }
@@ -331,6 +351,24 @@ export interface Evidence {
   age_s: number | null;
 }
 
+/** Achieved over commanded, from several moves. */
+export interface FactorResult {
+  value: number;
+  sigma: number;
+  /** of a single move, relative */
+  scatter: number;
+  moves: number;
+}
+
+/** One figure of the three axes together. */
+export interface FigureResult {
+  /** null: only an upper limit is known */
+  value: number | null;
+  /** 95 % */
+  interval: number[];
+  unit: string;
+}
+
 /** The plan of the active map's floor, in axes of its own: x to the right, y up. */
 export interface FloorPlanModel {
   map: string;
@@ -394,6 +432,23 @@ export interface ImuOrder {
   gyro_random_walk: number | null;
   accel_noise_density: number | null;
   accel_random_walk: number | null;
+}
+
+/** What a recording at rest came to; in `result.json` is all of it, axis by axis. */
+export interface ImuResult {
+  gyro_noise_density: FigureResult | null;
+  gyro_random_walk: FigureResult | null;
+  accel_noise_density: FigureResult | null;
+  accel_random_walk: FigureResult | null;
+  /** what the estimation is told */
+  used: UsedNoise | null;
+  /** null: it did not lie on enough sides */
+  accelerometer: AccelerometerResult | null;
+  duration_s: number;
+  accepted: boolean;
+  reasons: string[];
+  /** what it cannot tell, or what was cut out of it */
+  notes: string[];
 }
 
 export interface JobMessage {
@@ -847,8 +902,9 @@ export interface SessionModel {
 }
 
 export interface SessionOrder {
-  kind: "camera" | "camera-imu";
-  target: TargetOrder;
+  kind: "camera" | "camera-imu" | "wheels" | "imu";
+  /** none for kind imu */
+  target: TargetOrder | null;
 }
 
 /** The running SLAM, or the last one. */
@@ -922,6 +978,14 @@ export interface UndoOrder {
   version: number | null;
 }
 
+export interface UsedNoise {
+  gyro_noise_density: number;
+  gyro_random_walk: number;
+  accel_noise_density: number;
+  accel_random_walk: number;
+  rate_hz: number;
+}
+
 /** A stretch of time with one answer. */
 export interface VisitModel {
   state: "known" | "unknown" | "lost";
@@ -929,6 +993,31 @@ export interface VisitModel {
   room: RoomName | null;
   start_unix_s: number;
   end_unix_s: number;
+}
+
+/** What the motors make of a command by themselves; the robot asks them for that much more. */
+export interface WheelsModel {
+  /** m/s over ground for each commanded one */
+  speed: number;
+  /** rad/s likewise */
+  turn: number;
+}
+
+/** What is left out stays as the robot tells it now; 1 where it tells nothing. */
+export interface WheelsOrder {
+  speed: number | null;
+  turn: number | null;
+}
+
+/** What the wheels make of a command, as the robot drove when it began. */
+export interface WheelsResult {
+  speed: FactorResult | null;
+  turn: FactorResult | null;
+  /** of two equal lags one after the other, motor and gear */
+  lag_s: number | null;
+  lag_sigma_s: number | null;
+  accepted: boolean;
+  reasons: string[];
 }
 
 export type EventMessage =

@@ -15,10 +15,20 @@ from robot.simulation.calibration.kind import Kind
 from robot.simulation.calibration.sessions import Session, record_session
 from shared.calibration import REFERENCE_ROBOT, CameraCalibration
 from shared.errors import DataError
+from shared.geometry import se3, so3_exp, so3_log, transform
 from station.calibration.target import Target
 from station.calibration.target_file import read_target
 from station.calibration.target_page import page_target
-from station.calibration.wheels import Move, Wheels, board_poses, calibrate_wheels, find_rests, fit_factor, late
+from station.calibration.wheels import (
+    Move,
+    Wheels,
+    board_poses,
+    calibrate_wheels,
+    find_rests,
+    fit_factor,
+    late,
+    pose_before_board,
+)
 from station.datasets import Dataset, open_dataset
 from station.main import app
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
@@ -208,3 +218,17 @@ def test_an_arc_is_neither_a_drive_nor_a_turn() -> None:
     assert not arc.is_drive and not arc.is_turn
     assert Move(0, S, 1.0, 0.0, 0.3, 0.0, 0.9, 0.0).is_drive
     assert Move(0, S, 0.0, 1.0, 0.0, 0.3, None, 0.8).is_turn
+
+
+@pytest.mark.parametrize("turned_deg", [0.0, 1e-3, 0.5, 30.0])
+def test_a_board_straight_before_the_camera_tells_where_that_stands(turned_deg: float) -> None:
+    target, rng = Target("aprilgrid", 6, 6, 0.034, gap_m=0.0102), np.random.default_rng(5)
+    R = so3_exp(np.radians([0.0, turned_deg, 0.0])) @ np.diag([1.0, -1.0, -1.0])
+    T_cam_board = se3(R, np.array([-0.1, 0.1, 1.5]))
+    p_cam = transform(T_cam_board, target.corners)
+    focal = 1000.0
+    rays = p_cam[:, :2] / p_cam[:, 2:] + rng.normal(0.0, 0.2 / focal, (len(p_cam), 2))
+    found = pose_before_board(target.corners, rays, 2.0 / focal)
+    assert found is not None
+    off = found @ T_cam_board
+    assert abs(off[2, 3]) < 0.01 and np.linalg.norm(so3_log(off[:3, :3])) < np.radians(3.0)

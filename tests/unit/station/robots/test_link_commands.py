@@ -8,7 +8,18 @@ import msgspec
 import pytest
 
 from shared.calibration import REFERENCE_ROBOT, Calibration
-from shared.messages import Capabilities, Drive, Heartbeat, PanTilt, StationMessage, Stop, UseCalibration
+from shared.messages import (
+    CalibrationChanged,
+    CalibrationOrigin,
+    Capabilities,
+    Drive,
+    Heartbeat,
+    PanTilt,
+    StationMessage,
+    Stop,
+    UndoCalibration,
+    UseCalibration,
+)
 from station.errors import NoRobot
 from station.robots import link_commands
 from station.robots.link_commands import DueMessages, LinkCommands
@@ -94,15 +105,32 @@ def with_focal_length(fx: float) -> Calibration:
     return msgspec.structs.replace(REFERENCE_ROBOT, camera=msgspec.structs.replace(REFERENCE_ROBOT.camera, fx=fx))
 
 
-async def test_another_stations_calibration_is_no_answer_to_our_order() -> None:
+def changed(fx: float, is_answer: bool | msgspec.UnsetType) -> CalibrationChanged:
+    origin = CalibrationOrigin(source="its calibration.yaml")
+    return CalibrationChanged(calibration=with_focal_length(fx), origin=origin, is_answer=is_answer)
+
+
+@pytest.mark.parametrize("wanted", [with_focal_length(1001.0), None], ids=["order", "undo"])
+async def test_another_stations_change_is_no_answer_to_our_order(wanted: Calibration | None) -> None:
     commands, due = connected()
-    asking = asyncio.create_task(commands.use_calibration(with_focal_length(1001.0)))
+    asking = asyncio.create_task(commands.use_calibration(wanted, REFERENCE_ROBOT))
     await asyncio.sleep(0)
-    assert said(due) == [UseCalibration]
-    commands.receive_calibration(with_focal_length(900.0))
+    assert said(due) == [UseCalibration if wanted else UndoCalibration]
+    commands.receive_calibration(changed(1001.0, is_answer=False))  # even one that says the same
     await asyncio.sleep(0)
     assert not asking.done()
-    commands.receive_calibration(with_focal_length(1001.0))
+    commands.receive_calibration(changed(1001.0, is_answer=True))
+    assert await asking is None
+
+
+async def test_of_an_older_robot_the_same_numbers_are_the_answer() -> None:
+    commands, _ = connected()
+    asking = asyncio.create_task(commands.use_calibration(with_focal_length(1001.0), REFERENCE_ROBOT))
+    await asyncio.sleep(0)
+    commands.receive_calibration(changed(900.0, is_answer=msgspec.UNSET))
+    await asyncio.sleep(0)
+    assert not asking.done()
+    commands.receive_calibration(changed(1001.0, is_answer=msgspec.UNSET))
     assert await asking is None
 
 
@@ -110,5 +138,5 @@ async def test_an_order_that_nobody_waits_for_any_more_is_not_sent(monkeypatch: 
     monkeypatch.setattr(link_commands, "WRITTEN_WITHIN_S", 0.0)
     commands, due = connected()
     with pytest.raises(NoRobot, match="did not answer"):
-        await commands.use_calibration(with_focal_length(1001.0))
+        await commands.use_calibration(with_focal_length(1001.0), REFERENCE_ROBOT)
     assert said(due) == []

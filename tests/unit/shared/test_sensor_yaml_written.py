@@ -1,0 +1,32 @@
+"""What is written as an ASL folder's sensor.yaml is read back as it was, number by number."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from shared.calibration import REFERENCE_CAMERA, REFERENCE_IMU, CameraCalibration, ImuNoise
+from shared.calibration_yaml import camera_sensor_text, imu_sensor_text, read_imu
+from shared.sensor_yaml import read_camera, read_rig, read_yaml
+
+FISHEYE = msgspec.structs.replace(
+    REFERENCE_CAMERA, model="equidistant", distortion=(0.1 + 0.2, -1e-17, 0.0, 3.0), is_measured=False
+)
+ENDLESS = msgspec.structs.replace(REFERENCE_IMU, gyro_range=float("inf"), accel_walk=1e-5)
+
+
+@pytest.mark.parametrize("camera", [REFERENCE_CAMERA, FISHEYE], ids=["radtan", "guessed fisheye"])
+def test_a_camera_is_read_back_as_it_was(camera: CameraCalibration, tmp_path: Path) -> None:
+    path = tmp_path / "sensor.yaml"
+    path.write_text(camera_sensor_text(camera, rig="hand-held"))
+    assert read_camera(path) == camera
+    assert read_rig(read_yaml(path), path) == "hand-held"
+
+
+@pytest.mark.parametrize("imu", [REFERENCE_IMU, ENDLESS], ids=["with ranges", "without"])
+def test_an_imu_is_read_back_as_it_was(imu: ImuNoise, tmp_path: Path) -> None:
+    path = tmp_path / "sensor.yaml"
+    path.write_text(imu_sensor_text(imu))
+    assert read_imu(path) == imu

@@ -1,0 +1,59 @@
+"""What a guided calibration came to, as the page is told and as the robot is ordered."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from shared.calibration import REFERENCE_IMU, REFERENCE_ROBOT, Calibration, WheelCalibration
+from station.api.schema.calibration import ImuResult, order_of_result, ordered_calibration
+from station.calibration.guidance import GuidedKind
+from station.calibration.imu.calibrate import calibrate_imu
+from station.calibration.imu.report import calibration_json
+from station.calibration.wheels import Factor, Wheels
+from station.calibration.wheels_guided import wheels_result
+from station.errors import Conflict
+from station.model.frames import ImuBatch
+from station.robots.guided_calibration import CalibrationSession
+
+
+def session(kind: GuidedKind, result: dict[str, Any], told: Calibration = REFERENCE_ROBOT) -> CalibrationSession:
+    return CalibrationSession("cal-1", kind, None, Path("/"), told, "robot", state="done", result=result)
+
+
+def at_rest(seconds: float) -> dict[str, Any]:
+    rng, rate_hz = np.random.default_rng(4), 200.0
+    t_ns = (np.arange(seconds * rate_hz) * 1e9 / rate_hz).astype(np.int64)
+    gyro = rng.normal(0.0, REFERENCE_IMU.gyro_density * np.sqrt(rate_hz), (len(t_ns), 3))
+    accel = rng.normal((0.0, 0.0, 9.81), REFERENCE_IMU.accel_density * np.sqrt(rate_hz), (len(t_ns), 3))
+    return calibration_json(calibrate_imu(ImuBatch(t_ns, gyro, accel)))
+
+
+def measured(speed: float, turn: float) -> dict[str, Any]:
+    factors = (Factor(value, 0.01, 0.01, 4) for value in (speed, turn))
+    return wheels_result(Wheels(*factors, 0.08, 0.01, (), ()))
+
+
+def test_what_the_imu_measures_at_rest_is_ordered_and_nothing_else_is_changed() -> None:
+    result = at_rest(70.0)
+    assert ImuResult.model_validate(result).accepted, result["reasons"]
+    after = ordered_calibration(REFERENCE_ROBOT, order_of_result(session("imu", result)))
+    assert after.imu is not None and after.imu.gyro_density == pytest.approx(REFERENCE_IMU.gyro_density, rel=0.1)
+    assert msgspec.structs.replace(after, imu=REFERENCE_ROBOT.imu) == REFERENCE_ROBOT
+
+
+def test_half_a_minute_at_rest_is_refused_in_words() -> None:
+    with pytest.raises(Conflict, match="needs 60 s at rest"):
+        order_of_result(session("imu", at_rest(30.0)))
+
+
+def test_wheels_count_on_top_of_what_the_robot_drove_with() -> None:
+    told = msgspec.structs.replace(REFERENCE_ROBOT, wheels=WheelCalibration(speed=0.8, turn=0.5))
+    order = order_of_result(session("wheels", measured(1.25, 0.9), told))
+    after = ordered_calibration(told, order)
+    assert after.wheels == WheelCalibration(speed=1.0, turn=0.45)
+    assert ordered_calibration(after, order) == after  # used twice it counts once
