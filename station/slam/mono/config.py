@@ -15,7 +15,8 @@ class FilterConfig:
     sigma_first_turn: float = 1.0  # rad/s
     sigma_px: float = 1.0  # R of eq. 2.6 until the start has measured it
     min_sigma_px: float = 0.2  # no smaller: what patches are off by hardly changes from picture to picture
-    start_images: int = 40  # through which the filter goes again (start.py)
+    # After how many the first images are gone through again; doubling, as what a path tells grows with its length.
+    start_images: tuple[int, ...] = (10, 20, 40)
     first_inverse_depth: float = 0.3  # 1/units, of a new feature (C.2)
     sigma_first_inverse_depth: float = 0.3  # one of them reaches to infinity
     max_linearity: float = 0.1  # below, a feature becomes XYZ (Civera et al. 2008, eq. 28)

@@ -93,12 +93,12 @@ class MonoFilter:
         self._record(state, expected.rows, uv, tried, agreed)
         ids, uv = state.ids[expected.rows[agreed]], uv[agreed]
         self.state, settled, removed = state, ids[:0], None
-        if self._frame > self._config.start_images:
+        if self._frame > self._config.start_images[-1]:
             settled, removed = self._tend()
         new_ids, new_uv = self._add(finder)
         ids, uv = np.concatenate([ids, new_ids]), np.concatenate([uv, new_uv])
         start: list[State] = []
-        if self._frame <= self._config.start_images:
+        if self._frame <= self._config.start_images[-1]:
             start = self._begin(Measured(dt_s, ids, uv))
         return FrameResult(ids, uv, len(agreed), int(tried.sum()), wanted, settled, removed, start)
 
@@ -152,12 +152,12 @@ class MonoFilter:
         return best
 
     def _begin(self, image: Measured) -> list[State]:
-        """Keep the image; with the last one of the start, go through all of them once more."""
-        self._images.append(image)
-        if self._frame < self._config.start_images:
+        """Keep the image; after some of the start's go through all of them once more."""
+        self._images = [kept.only(self.state.ids) for kept in [*self._images, image]]
+        if self._frame not in self._config.start_images:
             return []
         start, self.sigma_px = Start(self._lens, self._config, self._images).again(self.state, self.sigma_px)
-        self.state, self._images = start[-1], []
+        self.state = start[-1]
         return start
 
     # ---- the map

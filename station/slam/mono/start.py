@@ -32,8 +32,8 @@ class Measured:
     ids: IntArray  # (K,) features that took part, and new ones
     uv_px: FloatArray  # (K, 2)
 
-    def without(self, ids: IntArray) -> Measured:
-        keep = ~np.isin(self.ids, ids)
+    def only(self, ids: IntArray) -> Measured:
+        keep = np.isin(self.ids, ids)
         return Measured(self.dt_s, self.ids[keep], self.uv_px[keep])
 
 
@@ -55,15 +55,14 @@ class Start:
 
     def _settled(self, path: list[State], sigma_px: float) -> tuple[list[State], float]:
         """Where rounds from this path lead, and the noise, px."""
-        bad = self._images[0].ids[:0]
-        images = self._images
+        good, images = path[-1].ids, self._images
         for _ in range(ROUNDS):
-            images = [image.without(bad) for image in images]
-            state = self._forth(images, [past.without(np.isin(past.ids, bad)) for past in path], sigma_px)
+            images = [image.only(good) for image in images]
+            state = self._forth(images, [past.without(~np.isin(past.ids, good)) for past in path], sigma_px)
             path = self._back(images, state, sigma_px)
             noise_px, mean_px2 = self._errors(images, path)
             sigma_px = max(noise_px, self._config.min_sigma_px)
-            bad = path[-1].ids[mean_px2 > (BAD_SIGMAS * sigma_px) ** 2]
+            good = path[-1].ids[mean_px2 <= (BAD_SIGMAS * sigma_px) ** 2]
         return [*path[:-1], state], noise_px
 
     def _back(self, images: list[Measured], state: State, sigma_px: float) -> list[State]:
@@ -80,7 +79,7 @@ class Start:
         for image, at in zip(images, path, strict=True):
             state = state.moved(self._config, image.dt_s)
             is_new = ~np.isin(image.ids, state.ids)
-            state = self._fuse(state, image.without(image.ids[is_new]), sigma_px, at)
+            state = self._fuse(state, image.only(state.ids), sigma_px, at)
             new = image.ids[is_new], image.uv_px[is_new]
             state = state.with_features(*new, self._lens, self._config, sigma_px)
         return state
