@@ -100,10 +100,12 @@ def rendered_run(seed: int, seconds: float, figure: Path | None) -> dict[str, An
     pictures = []
     for k, frame in enumerate(rendered(path, calibration, seed)):
         began = time.process_time()
-        backend.add_frame(frame)
+        is_first_piece = backend.add_frame(frame).segment == 0
         cpu_ms.append(1e3 * (time.process_time() - began))
-        if backend.filter is not None and backend.last is not None and k > 1:
-            nees.append(pose_nees(backend.filter.state, T_first_world @ path.T_world_body[k]))
+        if backend.last is not None and k > 1:
+            truth = T_first_world @ path.T_world_body[k]
+            mono = backend.filter if is_first_piece else None  # none: lost, which no band holds
+            nees.append(np.inf if mono is None else pose_nees(mono.state, truth))
             measured.append(backend.last.num_tried)
         if figure is not None and k in PICTURED:
             pictures.append(with_ellipses(frame, backend))

@@ -1,3 +1,5 @@
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -15,6 +17,7 @@ from tests.support.synthetic_run import room_points
 SECONDS = 4.0
 
 
+@cache
 def follow(
     seed: int, outliers: float = 0.0, seconds: float = SECONDS
 ) -> tuple[MonoFilter, Trajectory, Trajectory, list[FrameResult]]:
@@ -54,7 +57,7 @@ def test_start_that_fits_its_mirror_image_better_is_mended_by_the_pictures_that_
 
 
 def test_features_become_points_where_they_are_known_well_enough() -> None:
-    mono, truth, found, results = follow(2, seconds=3.0)
+    mono, truth, found, results = follow(1)
     state = mono.state
     assert 0 < state.is_inverse.sum() < len(state.ids)
     assert len(state.x) == CAMERA + 6 * state.is_inverse.sum() + 3 * (~state.is_inverse).sum()
@@ -67,7 +70,7 @@ def test_features_become_points_where_they_are_known_well_enough() -> None:
 
 
 def test_covariance_stays_symmetric_and_positive_and_the_attitude_a_rotation() -> None:
-    state = follow(3)[0].state
+    state = follow(1)[0].state
     np.testing.assert_allclose(state.P, state.P.T, atol=1e-12)
     assert np.linalg.eigvalsh(state.P).min() > -1e-9
     np.testing.assert_allclose(state.R @ state.R.T, np.eye(3), atol=1e-12)
@@ -76,12 +79,12 @@ def test_covariance_stays_symmetric_and_positive_and_the_attitude_a_rotation() -
 
 def test_map_keeps_its_size() -> None:
     config = FilterConfig()
-    mono, _, _, results = follow(4)
+    mono, _, _, results = follow(1)
     assert len(mono.state.ids) <= config.max_features
     assert all(result.num_tried <= config.num_measured for result in results)
 
 
 def test_ellipses_shrink_as_depths_become_known() -> None:
-    results = follow(5)[3]
+    results = follow(1)[3]
     area = [float(np.median(np.sqrt(np.linalg.det(result.wanted.S)))) for result in results[1:]]
     assert np.mean(area[-20:]) < 0.1 * area[0]
