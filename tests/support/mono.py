@@ -20,8 +20,7 @@ from shared.geometry import FloatArray, IntArray, se3, so3_exp, so3_log
 from station.model.frames import ImageFrame
 from station.model.navigation import Trajectory
 from station.slam.mono.filter import Wanted
-from station.slam.mono.motion import ATTITUDE, POSE, POSITION
-from station.slam.mono.quaternion import CONJUGATE, left, rotation
+from station.slam.mono.motion import POSE, POSITION
 from station.slam.mono.state import State
 from station.vision.lens import BoolArray, Lens
 
@@ -134,12 +133,8 @@ def pose_nees(state: State, T_first_cam: FloatArray) -> float:
     Position and attitude as seen from the first camera, with the scale that fits best at this moment: scale is nobody's
     to know, and projected out it takes one degree with it. T_first_cam (4, 4): the truth.
     """
-    q = state.x[ATTITUDE]
-    A = np.zeros((6, POSE))
-    A[:3, POSITION] = np.eye(3)
-    A[3:, ATTITUDE] = 2.0 * left(q * CONJUGATE)[1:]  # of a small turn about the camera's axes
-    P = A @ state.P[:POSE, :POSE] @ A.T
-    error = np.concatenate([state.x[POSITION], so3_log(T_first_cam[:3, :3].T @ rotation(q))])
+    P = state.P[:POSE, :POSE]
+    error = np.concatenate([state.x[POSITION], so3_log(T_first_cam[:3, :3].T @ state.R)])
     free = np.concatenate([T_first_cam[:3, 3], np.zeros(3)])
     information = np.linalg.inv(P)
     error = error - free * float(free @ information @ error) / float(free @ information @ free)

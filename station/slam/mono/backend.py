@@ -15,7 +15,7 @@ import numpy as np
 
 from shared.calibration import Calibration
 from shared.errors import ConfigError, EstimationError
-from shared.geometry import FloatArray, inverse, se3, transform, upright
+from shared.geometry import inverse, se3, transform, upright
 from station.model.frames import DriveSample, ImageArray, ImageFrame, ImuBatch
 from station.model.navigation import Navigation
 from station.model.slam_update import SlamUpdate, TrackingState
@@ -23,7 +23,7 @@ from station.slam.mapping.intake import FrameIntake
 from station.slam.mapping.report import make_report
 from station.slam.mono.config import MonoConfig
 from station.slam.mono.filter import FrameResult, MonoFilter
-from station.slam.mono.map_log import MapLog, camera_pose
+from station.slam.mono.map_log import MapLog
 from station.slam.mono.patches import PatchFinder
 from station.vision.lens import Lens
 
@@ -51,6 +51,7 @@ class MonoBackend:
         self._segment = -1
         self._num_features = 0  # of all segments so far
         self._previous_ns = 0
+        self._started_ns: list[int] = []  # times of the images that the running filter took
         self._found_ns = 0  # when enough features were found last
         self._lost_ns = 0
         self._messages: list[str] = []
@@ -80,7 +81,11 @@ class MonoBackend:
             self.last = result = mono.process(dt_s, self._finder)
         except np.linalg.LinAlgError:
             return self._lose_at(frame, "the filter contradicts itself")
-        self._finder.forget(result.gone)
+        self._finder.keep(mono.state.ids)
+        self._started_ns.append(frame.t_robot_ns)
+        for t_ns, state in zip(self._started_ns, result.start, strict=False):  # none but where the start ends
+            if t_ns in self._log.poses:
+                self._log.poses[t_ns] = self._T_world_filter @ state.T_world_cam
         if result.removed is not None:
             self._log.retire(result.removed, self._T_world_filter)
         if result.num_found >= self._config.min_found:
@@ -88,29 +93,24 @@ class MonoBackend:
             return self._keep(mono, result, frame, grey)
         if frame.t_robot_ns - self._found_ns > self._config.max_outage_s * 1e9:
             return self._lose_at(frame, "too few features are found again")
-        return self._update(frame, "tracking", f"tracking: {result.num_found} of {result.num_tried} features found")
+        return self._update(frame, "tracking", found_again(result))
 
     def _keep(self, mono: MonoFilter, result: FrameResult, frame: ImageFrame, grey: ImageArray) -> SlamUpdate:
         """A frame whose pose is known."""
-        self._T_world_cam = self._T_world_filter @ camera_pose(mono.state)
-        T_world_body = self._T_world_cam @ self._T_cam_body
-        self._log.add_pose(frame.t_robot_ns + self._shift_ns, T_world_body)
+        self._T_world_cam = self._T_world_filter @ mono.state.T_world_cam
+        self._log.poses[frame.t_robot_ns] = self._T_world_cam
         is_keyframe = self._log.is_keyframe(result.ids, result.uv_px, self._segment)
         if is_keyframe:
-            self._log.add_keyframe(frame, self._T_world_cam, self._segment, result.ids, result.uv_px)
-        at = np.flatnonzero(np.isin(result.ids, result.settled) & np.isin(result.ids, mono.state.ids))
-        of = np.searchsorted(mono.state.ids, result.ids[at])
-        points = transform(self._T_world_filter, mono.state.points()[0][of])
-        u, v = np.rint(result.uv_px[at]).astype(int).T
-        return self._update(
-            frame,
-            "tracking",
-            f"tracking: {result.num_found} of {result.num_tried} features found",
-            T_world_body,
-            is_keyframe,
-            points,
-            np.repeat(grey[v, u][:, None], 3, axis=1).astype(np.float64),
-        )
+            self._log.add_keyframe(frame, self._segment, result.ids, result.uv_px)
+        update = self._update(frame, "tracking", found_again(result))
+        update = replace(update, T_world_body=self._T_world_cam @ self._T_cam_body, is_keyframe=is_keyframe)
+        new = np.isin(result.ids, result.settled) & np.isin(result.ids, mono.state.ids)
+        if not new.any():
+            return update
+        points = mono.state.points()[0][np.searchsorted(mono.state.ids, result.ids[new])]
+        u, v = np.rint(result.uv_px[new]).astype(int).T
+        rgb = np.repeat(grey[v, u][:, None], 3, axis=1).astype(np.float64)
+        return replace(update, new_points_world=transform(self._T_world_filter, points), new_points_rgb=rgb)
 
     # ---- starting and losing
 
@@ -123,22 +123,20 @@ class MonoBackend:
         mono = MonoFilter(self._lens, self._config.filter, self._num_features)
         result = mono.process(0.0, self._finder)
         if len(mono.state.ids) < self._config.min_found:
-            self._finder.forget(mono.state.ids)
+            self._finder.keep(mono.state.ids[:0])
             return self._update(frame, self._waiting, "not initialised yet: needs something with corners in view")
         self.filter, self._segment = mono, self._segment + 1
         self._T_world_filter = self._T_world_cam
         if self._segment:
             self._lost_ns += frame.t_robot_ns - self._found_ns
-        self._found_ns = frame.t_robot_ns
+        self._found_ns, self._started_ns = frame.t_robot_ns, [frame.t_robot_ns]
         return self._keep(mono, result, frame, grey)
 
     def _lose(self, reason: str) -> None:
         """What was estimated before the trouble stays; the next start is a new segment with a scale of its own."""
         assert self.filter is not None
         self._log.retire(self.filter.state, self._T_world_filter)
-        self._finder.forget(self.filter.state.ids)
-        self._num_features = self.filter.next_id
-        self.filter = None
+        self._num_features, self.filter = self.filter.next_id, None
         self._messages.append(f"tracking lost after {self._intake.elapsed_s:.1f} s: {reason}")
 
     def _lose_at(self, frame: ImageFrame, reason: str) -> SlamUpdate:
@@ -162,7 +160,7 @@ class MonoBackend:
         intake = self._intake
         if not intake.used:
             raise EstimationError("no usable image came; the mono backend needs images")
-        if not len(self._log):
+        if not self._log.poses:
             raise EstimationError("tracking never started: no image had enough corners to follow")
         if self.filter is not None:
             self._log.retire(self.filter.state, self._T_world_filter)
@@ -174,28 +172,21 @@ class MonoBackend:
         report = make_report("mono", intake, self._config, self._lost_ns * 1e-9, 0, False, self._messages)
         report = replace(report, landmarks=len(landmarks))
         identity = f"mono-{intake.first_t_ns}"
-        return Navigation(identity, self._calibration, self._log.trajectory(), keyframes, landmarks, report)
+        trajectory = self._log.trajectory(self._T_cam_body, self._shift_ns)
+        return Navigation(identity, self._calibration, trajectory, keyframes, landmarks, report)
 
-    def _update(
-        self,
-        frame: ImageFrame,
-        state: TrackingState,
-        message: str,
-        T_world_body: FloatArray | None = None,
-        is_keyframe: bool = False,
-        points: FloatArray | None = None,
-        rgb: FloatArray | None = None,
-    ) -> SlamUpdate:
-        has_points = points is not None and len(points) > 0
+    def _update(self, frame: ImageFrame, state: TrackingState, message: str) -> SlamUpdate:
         return SlamUpdate(
             t_robot_ns=frame.t_robot_ns,
             state=state,
             message=message,
-            T_world_body=T_world_body,
+            T_world_body=None,
             num_landmarks=0 if self.filter is None else len(self.filter.state.ids),
-            is_keyframe=is_keyframe,
-            new_points_world=points if has_points else None,
-            new_points_rgb=rgb if has_points else None,
+            is_keyframe=False,
             segment=max(self._segment, 0),
             scale="arbitrary",
         )
+
+
+def found_again(result: FrameResult) -> str:
+    return f"tracking: {result.num_found} of {result.num_tried} features found"

@@ -14,11 +14,9 @@ class FilterConfig:
     sigma_first_velocity: float = 1.0  # units/s, before the first image pair
     sigma_first_turn: float = 1.0  # rad/s
     sigma_px: float = 1.0  # R of eq. 2.6 until the start has measured it
-    min_sigma_px: float = 0.3  # no smaller: what patches are off by hardly changes from picture to picture
-    bias_frames: int = 20  # a right feature's errors average out over so many pictures,
-    max_bias_sigmas: float = 1.0  # a corner where two depths meet slides, and its errors do not
-    # When the start is solved again: doubling, since what can be told from a path grows with its length.
-    start_frames: tuple[int, ...] = (10, 20, 40)
+    min_sigma_px: float = 0.2  # no smaller: what patches are off by hardly changes from picture to picture
+    # After how many the first images are gone through again; doubling, as what a path tells grows with its length.
+    start_images: tuple[int, ...] = (10, 20, 40)
     first_inverse_depth: float = 0.3  # 1/units, of a new feature (C.2)
     sigma_first_inverse_depth: float = 0.3  # one of them reaches to infinity
     max_linearity: float = 0.1  # below, a feature becomes XYZ (Civera et al. 2008, eq. 28)
@@ -28,6 +26,8 @@ class FilterConfig:
     rescue_chi2: float = 9.21  # 99 % of two degrees of freedom
     min_tries: int = 8  # before a feature can be given up for being found too rarely
     min_found_share: float = 0.5
+    memory: int = 20  # images over which a right feature's errors average out;
+    max_mean_sigmas: float = 1.0  # a corner where two depths meet slides, and its errors do not
 
 
 @dataclass(frozen=True, slots=True)

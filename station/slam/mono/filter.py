@@ -5,17 +5,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
 from shared.geometry import FloatArray, IntArray
 from station.slam.mono.config import FilterConfig
-from station.slam.mono.measurement import Predicted, predict
-from station.slam.mono.motion import first_camera
-from station.slam.mono.start import Start
-from station.slam.mono.state import State
+from station.slam.mono.start import Measured, Start
+from station.slam.mono.state import Expected, State
 from station.vision.lens import BoolArray, Lens
 
 MARGIN_PX = 10.0  # to the image's border: a patch must fit
@@ -59,166 +57,156 @@ class FrameResult:
     wanted: Wanted
     settled: IntArray  # ids of the features that became XYZ
     removed: State | None  # features that left the map, as part of the state before
-    gone: IntArray  # ids of all that left
+    start: list[State]  # where the start ends: the states after each of its images, better than they were
+
+
+@dataclass(slots=True)
+class Record:
+    """How a feature has done."""
+
+    last: int  # image in which it was found last
+    tried: int = 0
+    found: int = 0
+    error: FloatArray = field(default_factory=lambda: np.zeros(2))  # mean of the last ones, sigmas
 
 
 class MonoFilter:
     def __init__(self, lens: Lens, config: FilterConfig, first_id: int = 0) -> None:
-        self._lens = lens
-        self._config = config
-        nothing = np.zeros(0, dtype=np.int64)
-        self.state = State(*first_camera(config), nothing, nothing.astype(bool))
+        self._lens, self._config = lens, config
+        self.state = State.first(config)
         self.sigma_px = config.sigma_px
-        self._tries: dict[int, IntArray] = {}  # by id: times looked for, times found, last frame found
-        self._frame = 0
-        self._bias: dict[int, tuple[int, FloatArray]] = {}
         self.next_id = first_id
-        self._start = Start(lens, config)
+        self._records: dict[int, Record] = {}
+        self._images: list[Measured] = []  # of the start
+        self._frame = 0
 
     def process(self, dt_s: float, finder: Finder) -> FrameResult:
         """Take one image in, dt_s after the one before."""
-        config, self._frame, before = self._config, self._frame + 1, self.state.ids
-        state = self.state.moved(config, dt_s)  # eqs. 2.1 to 2.3
-        wanted, seen = self._choose(state)  # eqs. 2.4 to 2.6, C.5
+        self._frame += 1
+        state = self.state.moved(self._config, dt_s)  # eqs. 2.1 to 2.3
+        expected = self._choose(state)  # eqs. 2.4 to 2.6, C.5
+        M = range(len(expected.rows))
+        S = expected.blocks()[M, M]
+        wanted = Wanted(state, expected.rows, expected.uv_px, S, self._config.gate_sigmas)
         uv, tried, found = finder.find(wanted)
-        agreed = np.flatnonzero(found)
-        if len(agreed):
-            state, agreed = self._update(state, wanted, seen, uv, agreed)
-            self._accumulate(state, wanted.rows[agreed], uv[agreed])
-        self._count(state.ids[wanted.rows], tried, agreed)
-        ids = state.ids[wanted.rows[agreed]]
-        linear = np.flatnonzero(state.linearity() < config.max_linearity)
-        settled, state = state.ids[linear], state.with_xyz(linear)
-        self.state, removed = self._prune(state)
+        state, agreed = self._update(state, expected, uv, np.flatnonzero(found))
+        self._record(state, expected.rows, uv, tried, agreed)
+        ids, uv = state.ids[expected.rows[agreed]], uv[agreed]
+        self.state, settled, removed = state, ids[:0], None
+        if self._frame > self._config.start_images[-1]:
+            settled, removed = self._tend()
         new_ids, new_uv = self._add(finder)
-        ids, uv = np.concatenate([ids, new_ids]), np.concatenate([uv[agreed], new_uv])
-        self.state, self.sigma_px = self._start.take(dt_s, self.state, ids, uv, self.sigma_px)
-        gone = np.setdiff1d(np.concatenate([before, new_ids]), self.state.ids)
-        for number in gone.tolist():
-            self._tries.pop(number, None)
-            self._bias.pop(number, None)
-        return FrameResult(ids, uv, len(agreed), int(tried.sum()), wanted, settled, removed, gone)
+        ids, uv = np.concatenate([ids, new_ids]), np.concatenate([uv, new_uv])
+        start: list[State] = []
+        if self._frame <= self._config.start_images[-1]:
+            start = self._begin(Measured(dt_s, ids, uv))
+        return FrameResult(ids, uv, len(agreed), int(tried.sum()), wanted, settled, removed, start)
 
-    def _choose(self, state: State) -> tuple[Wanted, Predicted]:
+    def _choose(self, state: State) -> Expected:
         """The features in view, the most informative (largest S) where there are too many."""
-        seen = predict(state.camera, state.features(), state.is_inverse, self._lens, MARGIN_PX)
-        rows = np.flatnonzero(seen.in_view)
-        seen = state.with_product_moments(seen.of(rows), rows)
-        S = state.innovation_ellipses(seen, rows, self.sigma_px)  # eq. 2.6
-        if len(rows) > self._config.num_measured:
-            best = np.sort(np.argsort(-np.linalg.det(S), kind="stable")[: self._config.num_measured])
-            rows, S, seen = rows[best], S[best], seen.of(best)
-        return Wanted(state, rows, seen.uv_px, S, self._config.gate_sigmas), seen
+        seen = state.predict(self._lens)
+        in_view = seen.is_ahead & self._lens.is_inside(seen.uv_px, MARGIN_PX)
+        expected = state.expect(self._lens, np.flatnonzero(in_view), self.sigma_px)
+        M = range(len(expected.rows))
+        area = np.linalg.det(expected.blocks()[M, M])
+        return expected.of(np.sort(np.argsort(-area, kind="stable")[: self._config.num_measured]))
 
-    def _update(
-        self, state: State, wanted: Wanted, seen: Predicted, uv: FloatArray, found: IntArray
-    ) -> tuple[State, IntArray]:
+    # ---- the update
+
+    def _update(self, state: State, expected: Expected, uv: FloatArray, found: IntArray) -> tuple[State, IntArray]:
         """Two updates: with what agrees on one motion, then with what is right but was uncertain.
 
-        Returns the state and which of the found features took part.
+        uv (M, 2) are measured pixels, found (K,) says whose; returns the state and which of them took part.
         Source: Civera et al., 1-Point RANSAC for EKF filtering, J. Field Robotics 27(5), 2010, algorithm 1.
         """
-        config = self._config
-        rows, uv = wanted.rows[found], uv[found]
-        agree = self._consensus(state, rows, seen.of(found), uv)
-        state = self._fuse(state, rows[agree], uv[agree])
-        others = np.flatnonzero(~agree)
+        if not len(found):
+            return state, found
+        agree = self._consensus(expected.of(found), uv[found])
+        agreed, others = found[agree], found[~agree]
+        state = state.updated(expected.of(agreed), uv[agreed])
         if len(others):
-            again = self._predict(state, rows[others])
+            again = state.expect(self._lens, expected.rows[others], self.sigma_px)
+            own = np.arange(len(others))
             nu = uv[others] - again.uv_px
-            ellipses = state.innovation_ellipses(again, rows[others], self.sigma_px)
-            chi2 = np.einsum("mi,mij,mj->m", nu, np.linalg.inv(ellipses), nu)
-            rescued = others[(chi2 < config.rescue_chi2) & again.in_view]
-            state = self._fuse(state, rows[rescued], uv[rescued])
-            agree[rescued] = True
-        return state, found[agree]
+            chi2 = np.einsum("mi,mij,mj->m", nu, np.linalg.inv(again.blocks()[own, own]), nu)
+            rescued = np.flatnonzero(chi2 < self._config.rescue_chi2)
+            state = state.updated(again.of(rescued), uv[others[rescued]])
+            agreed = np.sort(np.append(agreed, others[rescued]))
+        return state, agreed
 
-    def _fuse(self, state: State, rows: IntArray, uv: FloatArray) -> State:
-        """The Kalman update with the measured pixels (M, 2) of features."""
-        if not len(rows):
-            return state
-        seen = self._predict(state, rows)
-        HP = state.spread(seen, rows)
-        S = state.innovation_covariance(seen, rows, HP, self.sigma_px)
-        return state.updated(HP, S, (uv - seen.uv_px).ravel())
-
-    def _predict(self, state: State, rows: IntArray) -> Predicted:
-        every = predict(state.camera, state.features(), state.is_inverse, self._lens)
-        return state.with_product_moments(every.of(rows), rows)
-
-    def _consensus(self, state: State, rows: IntArray, seen: Predicted, uv: FloatArray) -> BoolArray:
+    def _consensus(self, expected: Expected, uv: FloatArray) -> BoolArray:
         """Which measurements (M,) agree with the motion that the best single one of them says.
 
         The prior knows the motion so well that one feature settles the rest. There are so few that each is tried.
         """
-        M = len(rows)
-        HP = state.spread(seen, rows)
-        S = state.innovation_covariance(seen, rows, HP, self.sigma_px).reshape(M, 2, M, 2).swapaxes(1, 2)
-        nu = uv - seen.uv_px
-        own = S[range(M), range(M)]
-        gain = S @ np.linalg.inv(own)[None]  # [j, i]: what feature i's innovation says of feature j's
-        left = nu[:, None] - (gain @ nu[None, :, :, None])[..., 0]
+        M = range(len(uv))
+        S, nu = expected.blocks(), uv - expected.uv_px
+        own = S[M, M]
+        gain = S @ np.linalg.inv(own)  # [j, i]: what feature i's innovation says of feature j's
+        left = nu[:, None] - (gain @ nu[:, :, None])[..., 0]
         spread = own[:, None] - gain @ S.swapaxes(0, 1)
-        spread[range(M), range(M)] = self.sigma_px**2 * np.eye(2)
+        spread[M, M] = self.sigma_px**2 * np.eye(2)
         chi2 = np.einsum("jia,jiab,jib->ji", left, np.linalg.inv(spread), left)
         agree: BoolArray = chi2 < self._config.rescue_chi2
         best: BoolArray = agree[:, int(np.argmax(agree.sum(axis=0)))]
         return best
 
-    def _count(self, ids: IntArray, tried: BoolArray, agreed: IntArray) -> None:
-        found = np.zeros(len(ids), dtype=bool)
-        found[agreed] = True
-        for number, was_tried, was_found in zip(ids.tolist(), tried.tolist(), found.tolist(), strict=True):
-            tally = self._tries[number]
-            tally[0] += was_tried
-            tally[1] += was_found
+    def _begin(self, image: Measured) -> list[State]:
+        """Keep the image; after some of the start's go through all of them once more."""
+        self._images = [kept.only(self.state.ids) for kept in [*self._images, image]]
+        if self._frame not in self._config.start_images:
+            return []
+        start, self.sigma_px = Start(self._lens, self._config, self._images).again(self.state, self.sigma_px)
+        self.state = start[-1]
+        return start
+
+    # ---- the map
+
+    def _record(self, state: State, rows: IntArray, uv: FloatArray, tried: BoolArray, agreed: IntArray) -> None:
+        """Count what was found, with the errors that are left after the update."""
+        error = (uv - state.predict(self._lens).uv_px[rows]) / self.sigma_px
+        found = np.isin(np.arange(len(rows)), agreed)
+        for number, was_tried, was_found, e in zip(state.ids[rows].tolist(), tried, found, error, strict=True):
+            record = self._records[number]
+            record.tried += int(was_tried)
             if was_found:
-                tally[2] = self._frame
+                record.last, record.found = self._frame, record.found + 1
+                record.error = record.error + (e - record.error) / min(record.found, self._config.memory)
 
-    def _accumulate(self, state: State, rows: IntArray, uv: FloatArray) -> None:
-        """The mean error of each feature over its last pictures, after the update."""
-        left = (uv - self._predict(state, rows).uv_px) / self.sigma_px
-        for number, e in zip(state.ids[rows].tolist(), left, strict=True):
-            count, bias = self._bias.get(number, (0, np.zeros(2)))
-            count = min(count + 1, self._config.bias_frames)
-            self._bias[number] = count, bias + (e - bias) / count
-
-    def _is_biased(self, number: int) -> bool:
-        count, bias = self._bias.get(number, (0, np.zeros(2)))
-        return count >= self._config.bias_frames and float(np.linalg.norm(bias)) > self._config.max_bias_sigmas
-
-    def _prune(self, state: State) -> tuple[State, State | None]:
-        """Give up what is found too rarely or lies beyond infinity, and of too many what was not seen for longest."""
+    def _is_bad(self, record: Record) -> bool:
+        """Found too rarely, or with errors that do not average out."""
         config = self._config
-        if not len(state.ids):
-            return state, None
-        tally = np.array([self._tries[number] for number in state.ids.tolist()])
-        rare = (tally[:, 0] >= config.min_tries) & (tally[:, 1] < config.min_found_share * tally[:, 0])
+        is_rare = record.tried >= config.min_tries and record.found < config.min_found_share * record.tried
+        return is_rare or (
+            record.found >= config.memory and float(np.linalg.norm(record.error)) > config.max_mean_sigmas
+        )
+
+    def _tend(self) -> tuple[IntArray, State | None]:
+        """Convert what is linear, give up what is bad, beyond infinity, or too many; ids converted, and what left."""
+        config, state = self._config, self.state
+        is_linear = state.linearity() < config.max_linearity
+        settled, state = state.ids[is_linear], state.with_xyz(is_linear)
+        records = [self._records[number] for number in state.ids.tolist()]
         row = state.rows()[:, 5]
         beyond = state.is_inverse & (state.x[row] + 2.0 * np.sqrt(np.maximum(state.P[row, row], 0.0)) < 0.0)
-        leave = rare | beyond
-        leave |= np.array([self._is_biased(number) for number in state.ids.tolist()])
+        leave = beyond | np.array([self._is_bad(record) for record in records], dtype=bool)
         surplus = int((~leave).sum()) + config.num_measured - config.max_features
-        if surplus > 0:
-            oldest = np.argsort(np.where(leave, self._frame, tally[:, 2]), kind="stable")[:surplus]
-            leave[oldest[tally[oldest, 2] < self._frame]] = True
-        if not leave.any():
-            return state, None
-        for number in state.ids[leave].tolist():
-            del self._tries[number]
-        return state.without(leave), state.without(~leave)
+        last = np.array([record.last for record in records])
+        oldest = np.argsort(np.where(leave, self._frame, last), kind="stable")[: max(surplus, 0)]
+        leave[oldest[last[oldest] < self._frame]] = True
+        self.state = state.without(leave)
+        return settled, state.without(~leave) if leave.any() else None
 
     def _add(self, finder: Finder) -> tuple[IntArray, FloatArray]:
         """New features where the picture has too few: their ids and pixels."""
         state, config = self.state, self._config
-        seen = predict(state.camera, state.features(), state.is_inverse, self._lens)
-        existing = seen.uv_px[seen.in_view]
+        seen = state.predict(self._lens)
+        existing = seen.uv_px[seen.is_ahead & self._lens.is_inside(seen.uv_px)]
         count = min(config.num_measured - len(existing), config.max_features - len(state.ids))
-        uv = finder.new_features(existing, count) if count > 0 else np.zeros((0, 2))
+        uv = finder.new_features(existing, max(count, 0))
         ids = np.arange(self.next_id, self.next_id + len(uv))
-        if len(ids):
-            self.next_id += len(ids)
-            self._tries |= {number: np.array([0, 0, self._frame]) for number in ids.tolist()}
-            self.state = state.with_features(ids, uv, self._lens, config, self.sigma_px)
-            finder.remember(ids, uv, self.state)
+        self.next_id += len(ids)
+        self._records |= {number: Record(self._frame) for number in ids.tolist()}
+        self.state = state.with_features(ids, uv, self._lens, config, self.sigma_px)
+        finder.remember(ids, uv, self.state)
         return ids, uv

@@ -6,14 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray, se3, transform
+from shared.geometry import FloatArray, IntArray, transform
 from station.files.spill import Spill, SpilledFiles
 from station.model.frames import ImageFrame
 from station.model.navigation import Keyframes, Landmarks, Trajectory
 from station.slam.mapping.assemble import make_keyframes, make_landmarks
 from station.slam.mono.config import MonoConfig
-from station.slam.mono.motion import ATTITUDE, POSITION
-from station.slam.mono.quaternion import rotation
+from station.slam.mono.motion import POSITION
 from station.slam.mono.state import State
 
 
@@ -21,21 +20,12 @@ class MapLog:
     def __init__(self, config: MonoConfig, width_px: int) -> None:
         self._config = config
         self._width_px = width_px
-        self._times: list[int] = []
-        self._poses: list[FloatArray] = []
+        self.poses: dict[int, FloatArray] = {}  # by time of the image, ns: T_world_cam
         self._frames: list[ImageFrame] = []  # keyframes, without their files
         self.encoded = SpilledFiles(Spill())  # these
-        self._T_world_cam: list[FloatArray] = []
         self._segments: list[int] = []
         self._seen: list[tuple[IntArray, FloatArray]] = []  # ids and pixels, one pair a keyframe
         self._points: dict[int, tuple[FloatArray, FloatArray]] = {}  # by id: where, and covariance
-
-    def __len__(self) -> int:
-        return len(self._poses)
-
-    def add_pose(self, t_ns: int, T_world_body: FloatArray) -> None:
-        self._times.append(t_ns)
-        self._poses.append(T_world_body)
 
     def is_keyframe(self, ids: IntArray, uv_px: FloatArray, segment: int) -> bool:
         """Whether the view has changed since the last keyframe: features moved, or left."""
@@ -48,12 +38,9 @@ class MapLog:
         flow = np.linalg.norm(uv_px[now] - uv_then[before], axis=1)
         return bool(len(flow)) and float(np.median(flow)) > self._config.keyframe_flow * self._width_px
 
-    def add_keyframe(
-        self, frame: ImageFrame, T_world_cam: FloatArray, segment: int, ids: IntArray, uv_px: FloatArray
-    ) -> None:
+    def add_keyframe(self, frame: ImageFrame, segment: int, ids: IntArray, uv_px: FloatArray) -> None:
         self._frames.append(replace(frame, encoded=b""))
         self.encoded.append(frame.encoded)
-        self._T_world_cam.append(T_world_cam)
         self._segments.append(segment)
         self._seen.append((ids, uv_px))
 
@@ -66,28 +53,21 @@ class MapLog:
         for i in np.flatnonzero(known).tolist():
             self._points[int(state.ids[i])] = transform(T_world_filter, p[i]), R @ cov[i] @ R.T
 
-    def trajectory(self) -> Trajectory:
-        return Trajectory(np.array(self._times, dtype=np.int64), np.array(self._poses).reshape(-1, 4, 4))
+    def trajectory(self, T_cam_body: FloatArray, shift_ns: int) -> Trajectory:
+        """Of the body; shift_ns from an image's time to that of its pose."""
+        return Trajectory(np.array(list(self.poses)) + shift_ns, np.array(list(self.poses.values())) @ T_cam_body)
 
     def map(self) -> tuple[Keyframes, Landmarks]:
         """Keyframes, and of the features whose place is known those that enough of them saw."""
         frames = [replace(f, encoded=e) for f, e in zip(self._frames, self.encoded, strict=True)]
-        keyframes = replace(
-            make_keyframes(frames, np.array(self._T_world_cam).reshape(-1, 4, 4)),
-            segment=np.array(self._segments, dtype=np.int64),
-        )
+        keyframes = make_keyframes(frames, np.array([self.poses[frame.t_robot_ns] for frame in frames]))
+        keyframes = replace(keyframes, segment=np.array(self._segments, dtype=np.int64))
         ids = np.array(sorted(self._points), dtype=np.int64)
         points = np.array([self._points[i][0] for i in ids.tolist()]).reshape(-1, 3)
         cov = np.array([self._points[i][1] for i in ids.tolist()]).reshape(-1, 3, 3)
-        seen = np.concatenate([seen for seen, _ in self._seen])
-        uv = np.concatenate([uv for _, uv in self._seen])
+        seen, uv = (np.concatenate(each) for each in zip(*self._seen, strict=True))
         seen_from = np.repeat(np.arange(len(self._seen)), [len(seen) for seen, _ in self._seen])
         known = np.isin(seen, ids)
         owner = np.searchsorted(ids, seen[known])
         keep = np.bincount(owner, minlength=len(ids)) >= self._config.min_observations
         return keyframes, make_landmarks(keyframes, keep, points, cov, owner, seen_from[known], uv[known])
-
-
-def camera_pose(state: State) -> FloatArray:
-    """T_filter_cam (4, 4): the world of the filter is its first camera's."""
-    return se3(rotation(state.x[ATTITUDE]), state.x[POSITION])

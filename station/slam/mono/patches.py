@@ -6,7 +6,7 @@ the camera when it was first seen.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -15,8 +15,7 @@ from shared.geometry import FloatArray, IntArray, homogeneous
 from station.model.frames import ImageArray
 from station.slam.mono.config import SearchConfig
 from station.slam.mono.filter import Wanted
-from station.slam.mono.motion import ATTITUDE, POSITION
-from station.slam.mono.quaternion import CONJUGATE, rotate
+from station.slam.mono.motion import POSITION
 from station.slam.mono.state import State
 from station.vision.klt import detect_corners
 from station.vision.lens import BoolArray, Lens
@@ -30,8 +29,8 @@ class Patch:
 
     grey: ImageArray  # (side, side), the feature in its middle
     rays: FloatArray  # (3, 3) through the middle, and one step right and down of it; z = 1, camera axes
-    r: FloatArray  # (3,)
-    q: FloatArray  # (4,)
+    r: FloatArray  # (3,) as far as was known while the feature had six numbers
+    R: FloatArray  # (3, 3)
 
 
 class PatchFinder:
@@ -49,9 +48,9 @@ class PatchFinder:
         """What follows is about this image (H, W)."""
         self._grey = grey
 
-    def forget(self, ids: IntArray) -> None:
-        for number in ids.tolist():
-            del self._patches[number]
+    def keep(self, ids: IntArray) -> None:
+        """Forget all other features."""
+        self._patches = {number: self._patches[number] for number in ids.tolist()}
 
     def new_features(self, existing_px: FloatArray, count: int) -> FloatArray:
         """Shi-Tomasi corners where there are no features yet, at the middle of a whole pixel each."""
@@ -66,15 +65,14 @@ class PatchFinder:
         rays = homogeneous(self._lens.unproject(uv_px[:, None] + steps))
         for number, (u, v), three in zip(ids.tolist(), uv_px.astype(int).tolist(), rays, strict=True):
             side = slice(v - self._reach, v + self._reach + 1), slice(u - self._reach, u + self._reach + 1)
-            r, q = state.x[POSITION].copy(), state.x[ATTITUDE].copy()
-            self._patches[number] = Patch(self._grey[side].copy(), three, r, q)
+            self._patches[number] = Patch(self._grey[side].copy(), three, state.x[POSITION], state.R)
 
     def find(self, wanted: Wanted) -> tuple[FloatArray, BoolArray, BoolArray]:
         count = len(wanted.rows)
         uv, tried, found = wanted.uv_px.copy(), np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
         if not count:
             return uv, tried, found
-        patches = [self._patches[number] for number in wanted.state.ids[wanted.rows].tolist()]
+        patches = self._seen_from_origins(wanted)
         warps = self._warps(wanted, patches)
         stretch = np.linalg.svd(warps, compute_uv=False)
         limit = self._config.max_stretch
@@ -89,16 +87,22 @@ class PatchFinder:
                 uv[i], found[i] = place, True
         return uv, tried, found
 
+    def _seen_from_origins(self, wanted: Wanted) -> list[Patch]:
+        """The wanted patches; where they were seen from is what the filter thinks of that by now (x_i of C.2)."""
+        numbers = wanted.state.ids[wanted.rows].tolist()
+        y, is_inverse = wanted.state.features()[wanted.rows], wanted.state.is_inverse[wanted.rows]
+        for i in np.flatnonzero(is_inverse).tolist():
+            self._patches[numbers[i]] = replace(self._patches[numbers[i]], r=y[i, :3])
+        return [self._patches[number] for number in numbers]
+
     def _warps(self, wanted: Wanted, patches: list[Patch]) -> FloatArray:
         """(M, 2, 2): what becomes of a step in the patch, in pixels of this image."""
         state = wanted.state
-        rays, r = np.stack([p.rays for p in patches]), np.stack([p.r for p in patches])
-        q = np.stack([p.q for p in patches])
-        p_world = state.points()[0][wanted.rows]
-        depth = rotate(q * CONJUGATE, p_world - r)[:, 2]
+        rays, r, R = (np.stack(each) for each in zip(*((p.rays, p.r, p.R) for p in patches), strict=True))
+        depth = np.einsum("mi,mi->m", state.points()[0][wanted.rows] - r, R[:, :, 2])
         depth = np.where(depth > NEAREST, np.minimum(depth, FARTHEST), FARTHEST)  # behind: beyond infinity
-        corners = rotate(q[:, None], rays * depth[:, None, None]) + r[:, None]
-        seen = rotate(state.x[ATTITUDE] * CONJUGATE, corners - state.x[POSITION])
+        corners = rays * depth[:, None, None] @ np.swapaxes(R, 1, 2) + r[:, None]
+        seen = (corners - state.x[POSITION]) @ state.R
         uv = self._lens.project(seen[..., :2] / np.maximum(seen[..., 2:], NEAREST))
         return np.swapaxes(uv[:, 1:] - uv[:, :1], 1, 2)
 

@@ -1,196 +1,124 @@
-"""The first pictures once more, all together: the same model, linearised where it ends instead of where it began.
+"""The first images once more: the same filter, its derivatives taken where it ended instead of where it guessed.
 
-While little has moved, a picture's motion is inverse depth times velocity, both unknown, and a filter that fixes its
-derivatives at the first guess settles on a wrong pair too surely, or on the mirrored one. So the first pictures'
-measurements are kept, and a few times the most probable state is sought from all of them (Gauss-Newton, damped).
-
-The unknowns u are what eqs. 2.2 and C.2 take as noise: the impulses of each picture, and of each feature the error of
-its first pixel and its inverse depth. They are independent; all else is `move`, `first_seen` and `predict` in a chain.
+While little has moved, an image shows inverse depth times velocity, both unknown, and a filter that takes derivatives
+at its first guesses becomes far too sure of them. So it goes back through its measurements, which says where the
+camera was as far as is known by then, and forward again from nothing with the derivatives of that path. It does so
+a second time from the mirror image of that path, where a Gaussian may have settled, and keeps what fits better.
+Source: the iterated extended Kalman smoother, Bell, SIAM J. Optimization 4(3), 1994: a Gauss-Newton step a round.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg
-import scipy.sparse
 
-from shared.geometry import FloatArray, IntArray
+from shared.geometry import FloatArray, IntArray, so3_exp
 from station.slam.mono.config import FilterConfig
-from station.slam.mono.measurement import first_seen, predict
-from station.slam.mono.motion import CAMERA, POSE, first_camera, impulse_covariance, move
+from station.slam.mono.measurement import angles_of, bearing
+from station.slam.mono.motion import POSE, POSITION
 from station.slam.mono.state import State
 from station.vision.lens import Lens
 
-STEPS = 40
-SETTLED = 1e-2  # of the cost, a chi-square
+ROUNDS = 3  # the last one changes little
 BAD_SIGMAS = 2.0  # a feature whose errors are larger on the mean is no fixed point
-OUT_OF_VIEW = 100.0  # sigmas: what a step costs that takes a feature out of the picture that shows it
-SWEEPS = 3  # with features left out and the noise measured
-HUBER = 3.0  # sigmas; beyond, a measurement counts by its distance instead of its square
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solved:
-    """The most probable first pictures."""
+class Measured:
+    """What one image gave."""
 
-    cost: float
-    u: FloatArray  # (6 K + 3 N,)
-    cov: FloatArray
-    x_v: FloatArray  # (K + 1, 13) cameras
-    x_v_by_u: FloatArray  # (K + 1, 13, 6 K)
-    y: FloatArray  # (N, 6) features
-    y_by_u: FloatArray  # (N, 6, 6 K + 3 N)
-    error_px: FloatArray  # (M, 2) of the measurements
+    dt_s: float  # since the image before
+    ids: IntArray  # (K,) features that took part, and new ones
+    uv_px: FloatArray  # (K, 2)
+
+    def only(self, ids: IntArray) -> Measured:
+        keep = np.isin(self.ids, ids)
+        return Measured(self.dt_s, self.ids[keep], self.uv_px[keep])
 
 
 class Start:
-    def __init__(self, lens: Lens, config: FilterConfig) -> None:
-        self._lens, self._config = lens, config
-        self._dt_s: list[float] = []
-        self._seen: list[tuple[IntArray, FloatArray]] = []
+    """The images of the start, and what they say together."""
 
-    def take(self, dt_s: float, state: State, ids: IntArray, uv_px: FloatArray, sigma_px: float) -> tuple[State, float]:
-        """Keep a picture's measurements while the start lasts; the state and the noise, better where it was solved."""
-        if len(self._seen) >= max(self._config.start_frames):
-            return state, sigma_px
-        self._dt_s.append(dt_s)
-        self._seen.append((ids, uv_px))
-        return self._solve(state) if len(self._seen) in self._config.start_frames else (state, sigma_px)
+    def __init__(self, lens: Lens, config: FilterConfig, images: list[Measured]) -> None:
+        self._lens, self._config, self._images = lens, config, images
 
-    def _solve(self, state: State) -> tuple[State, float]:
-        counts = [len(ids) for ids, _ in self._seen]
-        every = np.concatenate([ids for ids, _ in self._seen])
-        frame, uv = np.repeat(np.arange(len(counts)), counts), np.concatenate([uv for _, uv in self._seen])
-        keep, sigma_px = np.ones(len(every), dtype=bool), self._config.sigma_px
-        for _ in range(SWEEPS):
-            dt_s = np.array(self._dt_s[1:])
-            problem = Problem(self._lens, self._config, dt_s, every[keep], frame[keep], uv[keep], sigma_px)
-            ones = problem.solve(problem.mean)
-            best = min(ones, problem.solve(problem.mirrored(ones.u)), key=lambda found: found.cost)
-            sigma_px, bad = problem.judge(best)
-            if not len(bad):
-                break
-            keep &= ~np.isin(every, bad)
-        return problem.state(best, state), sigma_px
+    def again(self, state: State, sigma_px: float) -> tuple[list[State], float]:
+        """The states after each image, the last one honest of its errors; and the noise that was left, px.
 
-
-class Problem:
-    """All that was measured, one row a feature and picture."""
-
-    def __init__(
-        self,
-        lens: Lens,
-        config: FilterConfig,
-        dt_s: FloatArray,
-        ids: IntArray,
-        frame: IntArray,
-        uv_px: FloatArray,
-        sigma_px: float,
-    ) -> None:
-        self._lens, self._config, self._sigma_px = lens, config, sigma_px
-        self.ids, first, feature = np.unique(ids, return_index=True, return_inverse=True)
-        self._dt_s, self._first_uv, self._first = dt_s, uv_px[first], frame[first]
-        later = frame > self._first[feature]
-        self._frame, self._feature, self._uv = frame[later], feature[later], uv_px[later]
-        K, N = len(dt_s), len(self.ids)
-        self.K, self.N = K, N
-        impulses = np.sqrt(np.array([np.diag(impulse_covariance(config, dt)) for dt in dt_s]))
-        impulses[0] = np.hypot(impulses[0], np.sqrt(np.diag(first_camera(config)[1])[7:]))  # the first velocity too
-        own = np.tile([sigma_px, sigma_px, config.sigma_first_inverse_depth], N)
-        self.sigma = np.concatenate([impulses.ravel(), own])
-        self.mean = np.zeros(len(self.sigma))
-        self.mean[6 * K + 2 :: 3] = config.first_inverse_depth
-
-    def mirrored(self, u: FloatArray) -> FloatArray:
-        """The world that moves alike in the pictures: near and far exchanged, the camera on the other side, and turned.
-
-        To first order a pixel moves by rho (-V_x, -V_y) + (-Omega_y, Omega_x), the same for 2 mean - rho, -V and
-        Omega + 2 mean (-V_y, V_x): the reversal of a relief, which only a longer path tells from the truth.
+        state: after the last image, with all features of six numbers and in the order in which they came.
         """
-        other, K = u.copy(), self.K
-        rho, impulse = other[6 * K + 2 :: 3], other[: 6 * K].reshape(K, 6)
-        middle = float(np.median(rho))
-        impulse[:, 3:5] += 2.0 * middle * impulse[:, 1::-1] * [-1.0, 1.0]
-        impulse[:, :2] *= -1.0
-        rho[:] = np.maximum(2.0 * middle - rho, 0.1 * middle)
-        return other
+        path = self._back(self._images, state, sigma_px)
+        found = [self._settled(each, sigma_px) for each in (path, [mirrored(past) for past in path])]
+        path, sigma_px = min(found, key=lambda path_sigma: path_sigma[1])
+        return path, max(sigma_px, self._config.min_sigma_px)
 
-    def solve(self, u: FloatArray) -> Solved:
-        damping = 1e-3
-        found, A, b = self.linearised(u)
-        for _ in range(STEPS):
-            step = scipy.linalg.solve(A + damping * np.diag(np.diag(A)), -b, assume_a="pos", check_finite=False)
-            new, A_new, b_new = self.linearised(found.u + step)
-            if new.cost >= found.cost:
-                damping *= 10.0
-                continue
-            gained, damping = found.cost - new.cost, 0.1 * damping
-            found, A, b = new, A_new, b_new
-            if gained < SETTLED:
-                break
-        found.cov[:] = scipy.linalg.inv(A)
-        return found
+    def _settled(self, path: list[State], sigma_px: float) -> tuple[list[State], float]:
+        """Where rounds from this path lead, and the noise, px."""
+        good, images = path[-1].ids, self._images
+        for _ in range(ROUNDS):
+            images = [image.only(good) for image in images]
+            state = self._forth(images, [past.without(~np.isin(past.ids, good)) for past in path], sigma_px)
+            path = self._back(images, state, sigma_px)
+            noise_px, mean_px2 = self._errors(images, path)
+            sigma_px = max(noise_px, self._config.min_sigma_px)
+            good = path[-1].ids[mean_px2 <= (BAD_SIGMAS * sigma_px) ** 2]
+        return [*path[:-1], state], noise_px
 
-    def linearised(self, u: FloatArray) -> tuple[Solved, FloatArray, FloatArray]:
-        """With Huber's cost, J^T J and J^T e."""
-        K, N, first, f = self.K, self.N, self._first, self._feature
-        x_v, D = np.zeros((K + 1, CAMERA)), np.zeros((K + 1, CAMERA, 6 * K))
-        x_v[0, 3] = 1.0
-        for k in range(K):
-            own = slice(6 * k, 6 * k + 6)
-            x_v[k + 1], F, G = move(x_v[k], u[own], float(self._dt_s[k]))
-            D[k + 1] = F @ D[k]
-            D[k + 1, :, own] += G
-        own_of = u[6 * K :].reshape(N, 3)
-        y, by_camera, by_own = first_seen(x_v[first], self._first_uv + own_of[:, :2], own_of[:, 2], self._lens)
-        seen = predict(x_v[self._frame], y[f], np.ones(len(f), dtype=bool), self._lens)
-        e = (seen.uv_px - self._uv) / self._sigma_px
-        e[~seen.in_view] = OUT_OF_VIEW
-        length = np.linalg.norm(e, axis=1)
-        over = np.maximum(length / HUBER, 1.0)
-        off = (u - self.mean) / self.sigma
-        cost = float(np.where(over > 1.0, 2.0 * HUBER * length - HUBER**2, length**2).sum() + off @ off)
-        weight = (1.0 / (self._sigma_px * np.sqrt(over)))[:, None, None]
-        blocks = (
-            weight * seen.by_pose,
-            weight * seen.by_feature @ by_camera[f][:, :, :POSE],
-            weight * seen.by_feature @ by_own[f],
-        )
-        columns = POSE * self._frame, POSE * first[f], POSE * (K + 1) + 3 * f
-        M = len(f)
-        J = scipy.sparse.csr_array((2 * M, POSE * (K + 1) + 3 * N))
-        for block, column in zip(blocks, columns, strict=True):
-            rows = np.broadcast_to((2 * np.arange(M))[:, None, None] + np.arange(2)[:, None], block.shape)
-            at = np.broadcast_to(column[:, None, None] + np.arange(block.shape[2]), block.shape)
-            J = J + scipy.sparse.csr_array((block.ravel(), (rows.ravel(), at.ravel())), shape=J.shape)
-        chain = scipy.linalg.block_diag(D[:, :POSE].reshape(-1, 6 * K), np.eye(3 * N))
-        A = chain.T @ (J.T @ J).toarray() @ chain + np.diag(self.sigma**-2.0)
-        b = chain.T @ (J.T @ (e / np.sqrt(over)[:, None]).ravel()) + off / self.sigma
-        y_by_u = np.concatenate([by_camera @ D[first], np.zeros((N, 6, 3 * N))], axis=2)
-        for i in range(N):
-            y_by_u[i, :, 6 * K + 3 * i : 6 * K + 3 * i + 3] = by_own[i]
-        return Solved(cost, u, np.empty_like(A), x_v, D, y, y_by_u, e * self._sigma_px), A, b
+    def _back(self, images: list[Measured], state: State, sigma_px: float) -> list[State]:
+        """From the last image to the first one; in the order of time."""
+        path = [state]
+        for image, before in zip(images[:0:-1], images[-2::-1], strict=True):
+            state = self._fuse(state.moved(self._config, -image.dt_s), before, sigma_px)
+            path.append(state)
+        return path[::-1]
 
-    def judge(self, found: Solved) -> tuple[float, IntArray]:
-        """The noise that is left, and the features that contradict the others."""
-        square = (found.error_px**2).sum(axis=1)
-        count = np.bincount(self._feature, minlength=self.N)
-        mean = np.bincount(self._feature, square, minlength=self.N) / np.maximum(2 * count, 1)
-        common = float(np.median(np.repeat(mean, count)))
-        good = mean < 4.0 * common
-        rows = good[self._feature]
-        free = 2 * int(rows.sum()) - 6 * self.K - int(good.sum())
-        sigma_px = max(float(np.sqrt(square[rows].sum() / max(free, 1))), self._config.min_sigma_px)
-        return sigma_px, self.ids[mean > (BAD_SIGMAS * sigma_px) ** 2]
+    def _forth(self, images: list[Measured], path: list[State], sigma_px: float) -> State:
+        """From the first image to the last one, with derivatives taken on the path."""
+        state = State.first(self._config)
+        for image, at in zip(images, path, strict=True):
+            state = state.moved(self._config, image.dt_s)
+            is_new = ~np.isin(image.ids, state.ids)
+            state = self._fuse(state, image.only(state.ids), sigma_px, at)
+            new = image.ids[is_new], image.uv_px[is_new]
+            state = state.with_features(*new, self._lens, self._config, sigma_px)
+        return state
 
-    def state(self, found: Solved, old: State) -> State:
-        """The filter's state at the last picture, of the features of `old` that were not left out."""
-        alive = np.flatnonzero(np.isin(self.ids, old.ids))
-        x = np.concatenate([found.x_v[-1], found.y[alive].ravel()])
-        J = np.zeros((len(x), len(found.u)))
-        J[:CAMERA, : 6 * self.K] = found.x_v_by_u[-1]
-        J[CAMERA:] = found.y_by_u[alive].reshape(-1, len(found.u))
-        P = J @ found.cov @ J.T
-        return State(x, 0.5 * (P + P.T), self.ids[alive], np.ones(len(alive), dtype=bool))
+    def _fuse(self, state: State, image: Measured, sigma_px: float, at: State | None = None) -> State:
+        if not len(image.ids):
+            return state
+        rows = np.searchsorted(state.ids, image.ids)
+        return state.updated(state.expect(self._lens, rows, sigma_px, at), image.uv_px)
+
+    def _errors(self, images: list[Measured], path: list[State]) -> tuple[float, FloatArray]:
+        """The noise of the measurements, px, without the features that contradict the others; and each one's, px^2."""
+        feature = np.concatenate([np.searchsorted(path[-1].ids, image.ids) for image in images])
+        error = [
+            image.uv_px - state.predict(self._lens).uv_px[np.searchsorted(state.ids, image.ids)]
+            for image, state in zip(images, path, strict=True)
+        ]
+        count = np.bincount(feature)
+        mean = np.bincount(feature, (np.concatenate(error) ** 2).sum(axis=1)) / (2 * count)
+        good = mean < BAD_SIGMAS**2 * np.median(mean[feature])
+        free = 2 * count[good].sum() - POSE * len(path) - 3 * good.sum()
+        return float(np.sqrt((mean * 2 * count)[good].sum() / max(free, 1))), mean
+
+
+def mirrored(state: State) -> State:
+    """The world that moves alike in the images: near and far exchanged, the camera on the other side, and turned.
+
+    To first order a pixel moves by rho (-V_x, -V_y) + (-Omega_y, Omega_x), the same for 2 mean - rho, -V and
+    Omega + 2 mean (-V_y, V_x): the reversal of a relief, which only a longer path tells from the truth.
+    """
+    x, y = state.x.copy(), state.features()
+    middle = float(np.median(y[:, 5]))
+
+    def turned(p: FloatArray) -> FloatArray:
+        return so3_exp(2.0 * middle * np.stack([-p[..., 1], p[..., 0], 0.0 * p[..., 2]], axis=-1))
+
+    y[:, 3:5] = angles_of(np.einsum("nij,nj->ni", turned(y[:, :3]), bearing(y[:, 3:5])))[0]
+    y[:, 5] = np.maximum(2.0 * middle - y[:, 5], 0.1 * middle)
+    y[:, :2] *= -1.0
+    x[:2] *= -1.0
+    x[state.rows()] = y
+    return replace(state, x=x, R=turned(state.x[POSITION]) @ state.R)

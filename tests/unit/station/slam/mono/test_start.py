@@ -1,23 +1,56 @@
 import numpy as np
+import pytest
 
 from station.slam.mono.config import FilterConfig
-from station.slam.mono.start import Problem
+from station.slam.mono.start import Measured, Start
+from station.slam.mono.state import State
 from station.vision.lens import Lens
-from tests.support.mono import hand_held_camera
+from tests.support.mono import RATE_HZ, hand_held_camera, hand_held_path
+
+SEED, IMAGES, POINTS = 0, 40, 30
 
 
-def test_mirrored_world_moves_alike_in_the_pictures_with_the_camera_on_the_other_side() -> None:
-    camera = hand_held_camera().camera
+@pytest.fixture(scope="module")
+def seen() -> tuple[Lens, list[Measured], State]:
+    """Images of points, the first of which slides; and what the filter makes of them one by one."""
+    camera, config = hand_held_camera().camera, FilterConfig()
     assert camera is not None
-    rng = np.random.default_rng(0)
-    K, N = 5, 12
-    frame, ids = np.repeat(np.arange(K + 1), N), np.tile(np.arange(N), K + 1)
-    uv = np.tile(rng.uniform([250, 180], [390, 300], (N, 2)), (K + 1, 1))  # of a camera at rest
-    problem = Problem(Lens(camera), FilterConfig(), np.full(K, 1 / 30), ids, frame, uv, 1.0)
-    u = problem.mean.copy()
-    u[0:2] = 0.5, -0.3  # units/s, sideways
-    u[6 * K + 2 :: 3] = rng.uniform(0.1, 0.5, N)
-    ones, other = problem.linearised(u)[0], problem.linearised(problem.mirrored(u))[0]
-    np.testing.assert_allclose(other.x_v[-1, :2], -ones.x_v[-1, :2])
-    assert np.linalg.norm(ones.error_px, axis=1).max() > 10.0  # they move by so much,
-    assert np.linalg.norm(ones.error_px - other.error_px, axis=1).max() < 1.0  # and differ by so little
+    lens, rng, path = Lens(camera), np.random.default_rng(SEED), hand_held_path(SEED, 2.0).T_world_body
+    p = rng.uniform([-0.3, -0.2, 2.0], [0.3, 0.2, 5.0], (POINTS, 3))
+    p[:, :2] *= p[:, 2:]
+    p = p @ path[0, :3, :3].T + path[0, :3, 3]
+    images, state, ids = [], State.first(config), np.arange(POINTS)
+    for k, T in enumerate(path[:IMAGES]):
+        h = (p - T[:3, 3]) @ T[:3, :3]
+        uv = lens.project(h[:, :2] / h[:, 2:]) + rng.normal(0.0, 0.5, (POINTS, 2))
+        uv[0] += [0.4 * k, -0.4 * k]
+        inside = np.flatnonzero(lens.is_inside(uv, 5.0))
+        images.append(Measured(1.0 / RATE_HZ if k else 0.0, inside, uv[inside]))
+        if k:
+            state = state.moved(config, 1.0 / RATE_HZ)
+            state = state.updated(state.expect(lens, inside, config.sigma_px), uv[inside])
+        else:
+            state = state.with_features(ids, uv, lens, config, config.sigma_px)
+    return lens, images, state
+
+
+def test_start_measures_the_noise_and_leaves_out_the_feature_that_slides(
+    seen: tuple[Lens, list[Measured], State],
+) -> None:
+    lens, images, state = seen
+    path, sigma_px = Start(lens, FilterConfig(), images).again(state, 1.0)
+    assert sigma_px == pytest.approx(0.5, rel=0.1)
+    assert path[-1].ids.tolist() == list(range(1, POINTS))
+
+
+def test_start_gives_the_state_after_each_image_beginning_where_the_world_is(
+    seen: tuple[Lens, list[Measured], State],
+) -> None:
+    lens, images, state = seen
+    path, sigma_px = Start(lens, FilterConfig(), images).again(state, 1.0)
+    assert len(path) == len(images)
+    np.testing.assert_allclose(path[0].T_world_cam, np.eye(4), atol=0.02)
+    for each, past in zip(images, path, strict=True):
+        image = each.only(past.ids)
+        off = past.predict(lens).uv_px[np.searchsorted(past.ids, image.ids)] - image.uv_px
+        assert np.sqrt((off**2).mean()) < 1.2 * sigma_px
