@@ -7,9 +7,8 @@ import numpy as np
 from scipy import ndimage
 
 from shared.geometry import FloatArray, yaw_rotation
-from station.model.navigation import Navigation
 from station.places.rooms.sides import best_runs
-from station.places.rooms.surfaces import SIDES, find_surfaces
+from station.places.rooms.surfaces import SIDES, Seen, find_surfaces
 from station.places.rooms.wall_model import WallModel
 
 COARSE, FINE = np.radians(np.arange(0.0, 90.0, 1.0)), np.radians(np.arange(-1.0, 1.01, 0.1))
@@ -41,23 +40,22 @@ def plan_axes(R_ground_map: FloatArray, p_map: FloatArray, metre: float) -> Floa
     return yaw_rotation(-(yaw if yaw <= np.pi / 4 else yaw - np.pi / 2)) @ R_ground_map
 
 
-def turned_to_walls(navigation: Navigation, R_ground_map: FloatArray, model: WallModel) -> FloatArray:
-    """Axes (3, 3) turned by a few degrees to where the planes show the longest walls.
+def turn_to_walls(seen: Seen, model: WallModel) -> float:
+    """Rad, a few degrees: the turn of the axes in which the planes show the longest walls.
 
     Furniture stands askew and bare walls show few landmarks; but no sight passes a wall in its own direction.
     """
-    length = np.array([_wall_length(navigation, yaw_rotation(yaw) @ R_ground_map, model) for yaw in TURNS])
+    length = np.array([_wall_length(seen.turned(turn), model) for turn in TURNS])
     k = int(length.argmax())
-    yaw = TURNS[k]
-    if 0 < k < len(TURNS) - 1:
-        before, here, after = length[k - 1 : k + 2]
-        yaw += 0.5 * (before - after) / min(before - 2 * here + after, -1e-12) * (TURNS[1] - TURNS[0])
-    return yaw_rotation(float(yaw)) @ R_ground_map
+    if not 0 < k < len(TURNS) - 1:
+        return float(TURNS[k])
+    before, here, after = length[k - 1 : k + 2]  # the vertex of the parabola through them
+    return float(TURNS[k] + 0.5 * (before - after) / min(before - 2 * here + after, -1e-12) * (TURNS[1] - TURNS[0]))
 
 
-def _wall_length(navigation: Navigation, R_ground_map: FloatArray, model: WallModel) -> float:
+def _wall_length(seen: Seen, model: WallModel) -> float:
     """Sum of squares of what the walls of the best planes weigh: a few long ones count more than many short ones."""
-    surfaces = find_surfaces(navigation, R_ground_map)
+    surfaces = find_surfaces(seen)
     if surfaces is None:
         return 0.0
     table, total = np.array(model.wall), 0.0

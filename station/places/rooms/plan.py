@@ -8,17 +8,17 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
-from shared.geometry import FloatArray, rotation_of, transform
+from shared.geometry import FloatArray, rotation_of, transform, yaw_rotation
 from station.model.floor_plan import NO_ROOM, Door, FloorPlan, PlanEdits, Room
 from station.model.navigation import Navigation
 from station.model.place_map import Place
 from station.places.making.scale import ground_rotation
-from station.places.rooms.axes import plan_axes, turned_to_walls
+from station.places.rooms.axes import plan_axes, turn_to_walls
 from station.places.rooms.belonging import rooms_of_places
 from station.places.rooms.evidence import Ground, gather_evidence
 from station.places.rooms.identity import inherited, new_id, new_names
 from station.places.rooms.segments import Gate, Labels, part_rooms
-from station.places.rooms.surfaces import find_surfaces
+from station.places.rooms.surfaces import Seen, find_surfaces
 from station.places.rooms.wall_model import wall_model
 
 NO_EDITS = PlanEdits()
@@ -42,7 +42,7 @@ def make_floor_plan(
     R = _axes(navigation, previous, T)
     ground = gather_evidence(navigation, R)
     drawn, erased = (_carried(lines, R, previous, T) for lines in (edits.doors_drawn, edits.doors_erased))
-    segments = part_rooms(ground, find_surfaces(navigation, R), wall_model(), drawn, erased)
+    segments = part_rooms(ground, find_surfaces(Seen.of(navigation, R)), wall_model(), drawn, erased)
     labels = segments.labels
     rooms = _rooms(ground, labels, segments.count, navigation.id, edits, previous, T)
     plan = FloorPlan(
@@ -65,7 +65,8 @@ def _axes(navigation: Navigation, previous: FloorPlan | None, T: FloatArray) -> 
         return previous.R_ground_map @ rotation_of(T).T
     level = ground_rotation(navigation)
     p = navigation.landmarks.p_world
-    return turned_to_walls(navigation, plan_axes(level, p[np.isfinite(p).all(axis=1)], 1.0), wall_model())
+    R = plan_axes(level, p[np.isfinite(p).all(axis=1)], 1.0)
+    return yaw_rotation(turn_to_walls(Seen.of(navigation, R), wall_model())) @ R
 
 
 def _carried(lines: Sequence[FloatArray], R: FloatArray, previous: FloorPlan | None, T: FloatArray) -> list[FloatArray]:

@@ -191,8 +191,10 @@ class _Packing:
     @classmethod
     def of(cls, covers: np.ndarray, score: FloatArray) -> _Packing:
         """`covers` (points, columns): points in the same rectangles are one constraint."""
-        rows, which = np.unique(covers, axis=0, return_inverse=True)
-        return cls(rows.astype(np.float64), which.ravel(), score)
+        number: dict[bytes, int] = {}
+        which = np.array([number.setdefault(row.tobytes(), len(number)) for row in np.packbits(covers, axis=1)])
+        first = np.unique(which, return_index=True)[1]
+        return cls(covers[first].astype(np.float64), which, score)
 
     def prices(self) -> FloatArray:
         """(points,) of the ground: the dual of the linear relaxation."""

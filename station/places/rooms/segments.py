@@ -75,7 +75,7 @@ def part_rooms(
 
 def _passed_unseen(surfaces: Surfaces, rectangles: Sequence[Rectangle], known: Sequence[Passage]) -> list[Passage]:
     """Where the body went from one rectangle into another and no border shows a gap: it passed all the same."""
-    at = rectangles_at(rectangles, surfaces, surfaces.path)
+    at = rectangles_at(rectangles, surfaces, surfaces.seen.path)
     inside = np.flatnonzero(at >= 0)
     pairs = {frozenset((p.a, p.b)) for p in known}
     found = []
@@ -83,8 +83,8 @@ def _passed_unseen(surfaces: Surfaces, rectangles: Sequence[Rectangle], known: S
         a, b = int(at[begin]), int(at[end])
         if a != b and frozenset((a, b)) not in pairs:
             pairs.add(frozenset((a, b)))
-            middle = surfaces.path[begin : end + 1].mean(axis=0)
-            d = surfaces.path[end] - surfaces.path[begin]
+            middle = surfaces.seen.path[begin : end + 1].mean(axis=0)
+            d = surfaces.seen.path[end] - surfaces.seen.path[begin]
             across = np.array([0.0, 1.0]) if abs(d[0]) > abs(d[1]) else np.array([1.0, 0.0])
             found.append(Passage(a, b, middle + HALF_DOOR_M * np.array([[-1.0], [1.0]]) * across))
     return found

@@ -24,7 +24,7 @@ class Sides:
 
 def weigh_sides(surfaces: Surfaces, model: WallModel) -> Sides:
     """Odds of all planes at once."""
-    table = model.piece_weight * np.array(model.wall)
+    table = np.array(model.wall)
     odds = {side: table[surfaces.classes[side]] for side in SIDES}
     is_wall, total = {}, {}
     for side in SIDES:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from shared.geometry import FloatArray, IntArray
+from shared.geometry import FloatArray, IntArray, yaw_rotation
 from station.model.navigation import Navigation
 from station.places.making.scale import units_per_metre
 from station.places.space.carving import FARTHEST_M
@@ -38,42 +38,61 @@ AREA_CLASSES = len(AREA_COUNTS) + 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """What a navigation saw, as seen from above. Lengths are metres on the ground."""
+
+    p: FloatArray  # (n, 2) landmarks, but for those on the floor
+    towards: FloatArray  # (n, 2) to where each was seen from
+    sights: FloatArray  # (k, 4) from x, y to x, y: nothing stood between
+    path: FloatArray  # (m, 2) of the body
+
+    @classmethod
+    def of(cls, navigation: Navigation, R_ground_map: FloatArray) -> Seen:
+        unit = units_per_metre(navigation)
+        p = navigation.landmarks.p_world @ R_ground_map.T / unit
+        eyes = navigation.keyframes.T_world_cam[:, :3, 3] @ R_ground_map.T / unit
+        path = (navigation.trajectory.T_world_body[:, :3, 3] @ R_ground_map.T / unit)[:, :2]
+        path = path[np.isfinite(path).all(axis=1)]
+        path = path if len(path) else eyes[np.isfinite(eyes).all(axis=1), :2]
+        stands = np.isfinite(p).all(axis=1)
+        if stands.any():
+            stands &= p[:, 2] > np.percentile(p[stands, 2], FLOOR_PERCENT) + SKIRTING_M
+        towards = _towards_observers(navigation, p, eyes)
+        return cls(p[stands, :2], towards[stands], _sights(navigation, p, eyes), path)
+
+    def turned(self, yaw: float) -> Seen:
+        """In other axes: rad."""
+        R = yaw_rotation(yaw)[:2, :2].T
+        sights = np.column_stack([self.sights[:, :2] @ R, self.sights[:, 2:] @ R])
+        return Seen(self.p @ R, self.towards @ R, sights, self.path @ R)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Surfaces:
     """Planes at `low` + k * LINE_M, cut into pieces at `low` + j * PIECE_M. Lengths are metres on the ground."""
 
+    seen: Seen
     low: FloatArray  # (2,)
     classes: dict[Side, npt.NDArray[np.intp]]  # (planes, pieces) of the counts, for a wall seen from that side
     area_classes: npt.NDArray[np.intp]  # (X, Y) of cells as wide as a piece: how many sights passed, or the body
     driven: Cells  # (X, Y) by the body
-    path: FloatArray  # (n, 2) of the body
 
 
-def find_surfaces(navigation: Navigation, R_ground_map: FloatArray) -> Surfaces | None:
-    """Evidence of one navigation, in the axes of the ground; None where it saw nothing."""
-    unit = units_per_metre(navigation)
-    p = navigation.landmarks.p_world @ R_ground_map.T / unit
-    eyes = navigation.keyframes.T_world_cam[:, :3, 3] @ R_ground_map.T / unit
-    path = (navigation.trajectory.T_world_body[:, :3, 3] @ R_ground_map.T / unit)[:, :2]
-    path = path[np.isfinite(path).all(axis=1)]
-    path = path if len(path) else eyes[np.isfinite(eyes).all(axis=1), :2]
-    finite = np.isfinite(p).all(axis=1)
-    sights = _sights(navigation, p, eyes, finite)
-    if not len(path) or not len(sights):
+def find_surfaces(seen: Seen) -> Surfaces | None:
+    """Evidence of one navigation; None where it saw nothing."""
+    if not len(seen.path) or not len(seen.sights):
         return None
-    low = np.floor((path.min(axis=0) - FARTHEST_M) / PIECE_M) * PIECE_M
-    shape = np.ceil((path.max(axis=0) + FARTHEST_M - low) / PIECE_M).astype(int)
+    low = np.floor((seen.path.min(axis=0) - FARTHEST_M) / PIECE_M) * PIECE_M
+    shape = np.ceil((seen.path.max(axis=0) + FARTHEST_M - low) / PIECE_M).astype(int)
     grid = _Grid(low, (int(shape[0]), int(shape[1])))
-    stands = finite & (p[:, 2] > np.percentile(p[finite, 2], FLOOR_PERCENT) + SKIRTING_M)
-    towards = _towards_observers(navigation, p, eyes)
-    crossed = [grid.crossed(sights, axis) + COUNTS[-1] * grid.driven_through(path, axis) for axis in (0, 1)]
+    crossed = [grid.crossed(seen.sights, axis) + COUNTS[-1] * grid.driven_through(seen.path, axis) for axis in (0, 1)]
     classes = {}
     for axis, sign in SIDES:
-        seen_from_here = stands & (sign * towards[:, axis] > 0)
-        on = grid.landmarks_on(p[seen_from_here, :2], axis)
+        on = grid.landmarks_on(seen.p[sign * seen.towards[:, axis] > 0], axis)
         classes[axis, sign] = _class_of(on, crossed[axis], _looked_at(crossed[axis], sign))
-    driven = grid.cells(path)
-    area = np.where(driven, DRIVEN, _count_class(grid.passed(sights), AREA_COUNTS))
-    return Surfaces(low, classes, area, driven, path)
+    driven = grid.cells(seen.path)
+    area = np.where(driven, DRIVEN, _count_class(grid.passed(seen.sights), AREA_COUNTS))
+    return Surfaces(seen, low, classes, area, driven)
 
 
 def _class_of(on: FloatArray, crossed: FloatArray, looked_at: Cells) -> npt.NDArray[np.intp]:
@@ -90,14 +109,14 @@ def _looked_at(crossed: FloatArray, sign: int) -> Cells:
     return np.asarray(np.any([np.roll(crossed, -sign * step, axis=0) > 0 for step in steps], axis=0))
 
 
-def _sights(navigation: Navigation, p: FloatArray, eyes: FloatArray, finite: Cells) -> FloatArray:
+def _sights(navigation: Navigation, p: FloatArray, eyes: FloatArray) -> FloatArray:
     """(n, 4) from x, y to x, y: one for each sector of each keyframe, to its second farthest landmark.
 
     Of several the farthest may be false. Nearer ones add nothing but the same way again.
     """
     landmarks = navigation.landmarks
     keyframe, landmark = landmarks.observed_keyframe, landmarks.observed_landmark
-    rows = np.flatnonzero(finite[landmark] & np.isfinite(eyes[keyframe]).all(axis=1))
+    rows = np.flatnonzero(np.isfinite(p[landmark]).all(axis=1) & np.isfinite(eyes[keyframe]).all(axis=1))
     keyframe, landmark = keyframe[rows], landmark[rows]
     d = p[landmark, :2] - eyes[keyframe, :2]
     far = np.hypot(d[:, 0], d[:, 1])

@@ -17,8 +17,7 @@ class WallModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     worlds: tuple[str, ...]  # kinds and seeds
     wall: tuple[float, ...]  # of each class of a piece: of a wall against anywhere in a room
     area: tuple[float, ...]  # of each class of a cell: in a room against outside
-    piece_weight: float  # neighbouring pieces say nearly the same: what one counts
-    area_weight: float  # ... and one cell
+    area_weight: float  # neighbouring cells say nearly the same: what one counts, where a piece counts 1
     gap: float  # cost of a door or an opening in a wall
     gap_piece: float  # ... and of each piece of it
     room: float  # cost of a room more
