@@ -11,7 +11,7 @@ import numpy as np
 from shared.geometry import FloatArray, IntArray
 from station.places.rooms.rectangles import Rectangle
 from station.places.rooms.sides import Sides, likeliest_walls, score_of
-from station.places.rooms.surfaces import LINE_M, PIECE_M, Surfaces
+from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Surfaces
 from station.places.rooms.wall_model import WallModel
 from station.places.space.space import Cells
 
@@ -33,36 +33,56 @@ class Borders:
     passages: tuple[Passage, ...]
 
 
-def find_borders(rectangles: Sequence[Rectangle], surfaces: Surfaces, sides: Sides, model: WallModel) -> Borders:
-    """How every two rectangles side by side belong together."""
+def settled(rectangles: Sequence[Rectangle], surfaces: Surfaces) -> FloatArray:
+    """(n, 4) m, x0, x1, y0, y1: each side where the median of the landmarks on it lies, or else on its plane."""
+    seen = surfaces.seen
+    out = np.empty((len(rectangles), len(SIDES)))
+    for number, r in enumerate(rectangles):
+        for k, (axis, sign) in enumerate(SIDES):
+            at = surfaces.low[axis] + LINE_M * r.plane((axis, sign))
+            begin, end = (surfaces.low[1 - axis] + LINE_M * plane for plane in r.span(1 - axis))
+            across, along = seen.p[:, axis], seen.p[:, 1 - axis]
+            on = (sign * seen.towards[:, axis] > 0) & (np.abs(across - at) < 1.5 * LINE_M)
+            on &= (along > begin) & (along < end)
+            out[number, k] = np.median(across[on]) if on.any() else at
+    return out
+
+
+def find_borders(
+    rectangles: Sequence[Rectangle], edges: FloatArray, surfaces: Surfaces, sides: Sides, model: WallModel
+) -> Borders:
+    """How every two rectangles side by side belong together. `edges`: where they settled."""
     joined, passages = [], []
     for (a, first), (b, second), axis in _neighbours(rectangles):
         low, high = _shared(first, second, axis)
-        at = first.plane((axis, -1)), second.plane((axis, 1))
-        odds = (sides.odds[axis, -1][at[0], low:high] + sides.odds[axis, 1][at[1], low:high])[None]
+        odds = sides.odds[axis, -1][first.plane((axis, -1)), low:high]
+        odds = (odds + sides.odds[axis, 1][second.plane((axis, 1)), low:high])[None]
         is_wall = likeliest_walls(odds, model)
         if float(score_of(is_wall, odds, model).sum()) < 0 or not is_wall.any():
             joined.append((a, b))
-        across = surfaces.low[axis] + LINE_M * 0.5 * (at[0] + at[1])
+        across = 0.5 * (edges[a, 2 * axis + 1] + edges[b, 2 * axis])
         for begin, end in _gaps(is_wall[0]):
-            along = surfaces.low[1 - axis] + PIECE_M * np.array([low + begin, low + end])
-            ends = np.column_stack([np.full(2, across), along])
-            passages.append(Passage(a, b, ends if axis == 0 else ends[:, ::-1]))
+            passages.append(Passage(a, b, _line(surfaces, axis, across, low + begin, low + end)))
     return Borders(tuple(joined), tuple(passages))
 
 
-def walls_of(rectangles: Sequence[Rectangle], surfaces: Surfaces, sides: Sides) -> FloatArray:
-    """(W, 2, 2) m, the parts of all sides that are wall."""
-    segments = []
-    for r in rectangles:
-        for side, is_wall in sides.is_wall.items():
-            axis, pieces, plane = side[0], r.pieces(side[0]), r.plane(side)
-            across = surfaces.low[axis] + LINE_M * plane
-            for begin, end in _gaps(~is_wall[plane, pieces]):
-                along = surfaces.low[1 - axis] + PIECE_M * np.array([pieces.start + begin, pieces.start + end])
-                ends = np.column_stack([np.full(2, across), along])
-                segments.append(ends if axis == 0 else ends[:, ::-1])
+def walls_of(rectangles: Sequence[Rectangle], edges: FloatArray, surfaces: Surfaces, sides: Sides) -> FloatArray:
+    """(W, 2, 2) m, the parts of all sides that are wall. `edges`: where they settled."""
+    segments = [
+        _line(surfaces, side[0], across, pieces.start + begin, pieces.start + end)
+        for r, its_edges in zip(rectangles, edges, strict=True)
+        for side, across in zip(SIDES, its_edges, strict=True)
+        for pieces in [r.pieces(side[0])]
+        for begin, end in _gaps(~sides.is_wall[side][r.plane(side), pieces])
+    ]
     return np.array(segments).reshape(-1, 2, 2)
+
+
+def _line(surfaces: Surfaces, axis: int, across: float, begin: int, end: int) -> FloatArray:
+    """(2, 2) m, from one piece to another of a plane across an axis."""
+    along = surfaces.low[1 - axis] + PIECE_M * np.array([begin, end])
+    ends = np.column_stack([np.full(2, across), along])
+    return ends if axis == 0 else ends[:, ::-1]
 
 
 def _neighbours(
@@ -89,11 +109,10 @@ def _gaps(is_wall: Cells) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
-def rectangles_at(rectangles: Sequence[Rectangle], surfaces: Surfaces, p: FloatArray) -> IntArray:
-    """(n,) number of the rectangle around each point (n, 2) m, -1 for none."""
-    at = (p - surfaces.low) / LINE_M
+def rectangles_at(edges: FloatArray, p: FloatArray) -> IntArray:
+    """(n,) number of the rectangle (of `edges`) around each point (n, 2) m, -1 for none."""
     found = np.full(len(p), -1, dtype=np.int64)
-    for number, r in enumerate(rectangles):
-        inside = (at[:, 0] > r.x0) & (at[:, 0] < r.x1) & (at[:, 1] > r.y0) & (at[:, 1] < r.y1)
+    for number, (x0, x1, y0, y1) in enumerate(edges):
+        inside = (p[:, 0] > x0) & (p[:, 0] < x1) & (p[:, 1] > y0) & (p[:, 1] < y1)
         found[inside & (found < 0)] = number
     return found

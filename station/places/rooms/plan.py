@@ -39,9 +39,9 @@ def make_floor_plan(
         T_map_previous: (4, 4) carries the earlier plan's map frame into this one's, maybe with a scale; None: the same.
     """
     T = np.eye(4) if T_map_previous is None else T_map_previous
-    R = _axes(navigation, previous, T)
+    R = _axes(navigation, previous, T_map_previous)
     ground = gather_evidence(navigation, R)
-    drawn, erased = (_carried(lines, R, previous, T) for lines in (edits.doors_drawn, edits.doors_erased))
+    drawn, erased = (_carried(lines, R, previous, T_map_previous) for lines in (edits.doors_drawn, edits.doors_erased))
     segments = part_rooms(ground, find_surfaces(Seen.of(navigation, R)), wall_model(), drawn, erased)
     labels = segments.labels
     rooms = _rooms(ground, labels, segments.count, navigation.id, edits, previous, T)
@@ -59,19 +59,21 @@ def make_floor_plan(
     return replace(plan, room_of_place=rooms_of_places(plan, navigation, places))
 
 
-def _axes(navigation: Navigation, previous: FloorPlan | None, T: FloatArray) -> FloatArray:
+def _axes(navigation: Navigation, previous: FloorPlan | None, T: FloatArray | None) -> FloatArray:
     """R_ground_map (3, 3): along the walls, and turned as the previous plan is."""
     if previous is not None:
-        return previous.R_ground_map @ rotation_of(T).T
+        return previous.R_ground_map if T is None else previous.R_ground_map @ rotation_of(T).T
     level = ground_rotation(navigation)
     p = navigation.landmarks.p_world
     R = plan_axes(level, p[np.isfinite(p).all(axis=1)], 1.0)
     return yaw_rotation(turn_to_walls(Seen.of(navigation, R), wall_model())) @ R
 
 
-def _carried(lines: Sequence[FloatArray], R: FloatArray, previous: FloorPlan | None, T: FloatArray) -> list[FloatArray]:
+def _carried(
+    lines: Sequence[FloatArray], R: FloatArray, previous: FloorPlan | None, T: FloatArray | None
+) -> list[FloatArray]:
     """Lines (2, 2) of the previous plan in this one's axes."""
-    if previous is None:
+    if previous is None or T is None:
         return list(lines)
     before = previous.R_ground_map
     return [(transform(T, np.column_stack([line, np.zeros(2)]) @ before) @ R.T)[:, :2] for line in lines]

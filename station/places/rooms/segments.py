@@ -10,9 +10,9 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from shared.geometry import FloatArray
-from station.places.rooms.borders import Passage, find_borders, rectangles_at, walls_of
+from station.places.rooms.borders import Passage, find_borders, rectangles_at, settled, walls_of
 from station.places.rooms.evidence import Ground
-from station.places.rooms.rectangles import Rectangle, find_rectangles
+from station.places.rooms.rectangles import find_rectangles
 from station.places.rooms.sides import weigh_sides
 from station.places.rooms.surfaces import Surfaces
 from station.places.rooms.wall_model import WallModel
@@ -53,12 +53,13 @@ def part_rooms(
         return Segments(np.zeros(ground.free.shape, dtype=np.int32), 0, (), np.zeros((0, 2, 2)))
     sides = weigh_sides(surfaces, model)
     rectangles = find_rectangles(surfaces, sides, model)
-    borders = find_borders(rectangles, surfaces, sides, model)
-    passages = [*borders.passages, *_passed_unseen(surfaces, rectangles, borders.passages)]
+    edges = settled(rectangles, surfaces)
+    borders = find_borders(rectangles, edges, surfaces, sides, model)
+    passages = [*borders.passages, *_passed_unseen(surfaces, edges, borders.passages)]
     is_erased = [any(_is_same(p.ends * ground.unit, line) for line in erased) for p in passages]
     joined = [*borders.joined, *((p.a, p.b) for p, is_none in zip(passages, is_erased, strict=True) if is_none)]
     room_of = _rooms_of(len(rectangles), joined)
-    labels = _labels(ground, surfaces, rectangles, room_of)
+    labels = _labels(ground, edges, room_of)
     lines = [_line_cells(ground, line) for line in drawn]
     parted = _parted(labels, lines)
     number = _in_order_of_entering(ground, parted, lines)
@@ -70,12 +71,12 @@ def part_rooms(
     ]
     gates += [gate for line, cells in zip(drawn, lines, strict=True) for gate in _drawn_gate(labels, line, cells)]
     found = _without_repeats([gate for gate in gates if gate is not None])
-    return Segments(labels, int(labels.max(initial=0)), tuple(found), walls_of(rectangles, surfaces, sides) * ground.unit)
+    return Segments(labels, int(labels.max(initial=0)), tuple(found), walls_of(rectangles, edges, surfaces, sides) * ground.unit)
 
 
-def _passed_unseen(surfaces: Surfaces, rectangles: Sequence[Rectangle], known: Sequence[Passage]) -> list[Passage]:
+def _passed_unseen(surfaces: Surfaces, edges: FloatArray, known: Sequence[Passage]) -> list[Passage]:
     """Where the body went from one rectangle into another and no border shows a gap: it passed all the same."""
-    at = rectangles_at(rectangles, surfaces, surfaces.seen.path)
+    at = rectangles_at(edges, surfaces.seen.path)
     inside = np.flatnonzero(at >= 0)
     pairs = {frozenset((p.a, p.b)) for p in known}
     found = []
@@ -99,18 +100,18 @@ def _rooms_of(count: int, joined: Iterable[tuple[int, int]]) -> list[int]:
     return room
 
 
-def _labels(ground: Ground, surfaces: Surfaces, rectangles: Sequence[Rectangle], room_of: Sequence[int]) -> Labels:
+def _labels(ground: Ground, edges: FloatArray, room_of: Sequence[int]) -> Labels:
     """Rectangles, and what the body drove through beside them: that belongs to the nearest. Without any: one room."""
     shape = ground.free.shape
     index = np.indices(shape).reshape(2, -1).T
     p = (ground.low + (index + 0.5) * ground.cell) / ground.unit
-    of = rectangles_at(rectangles, surfaces, p)
+    of = rectangles_at(edges, p)
     table = np.array([*(room + 1 for room in room_of), 0], dtype=np.int32)
     labels = table[of].reshape(shape)
     left, _ = ndimage.label(ground.free & (labels == 0))
     entered = np.unique(left[ground.driven & (left > 0)])
     beside = np.isin(left, entered[entered > 0])
-    if not rectangles:
+    if not len(edges):
         return np.asarray(beside, dtype=np.int32)
     nearest = ndimage.distance_transform_edt(labels == 0, return_distances=False, return_indices=True)
     labels[beside] = labels[tuple(nearest[:, beside])]
