@@ -16,6 +16,7 @@ from station.places.rooms.wall_model import WallModel
 from station.places.space.space import Cells
 
 THICK_M = 0.35  # a wall at most, and errors of both its faces
+LEAST_DOOR_M = 0.45  # no robot passes a narrower gap
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,15 +55,21 @@ def find_borders(
     """How every two rectangles side by side belong together. `edges`: where they settled."""
     joined, passages = [], []
     for (a, first), (b, second), axis in _neighbours(rectangles):
-        low, high = _shared(first, second, axis)
-        odds = sides.odds[axis, -1][first.plane((axis, -1)), low:high]
-        odds = (odds + sides.odds[axis, 1][second.plane((axis, 1)), low:high])[None]
+        low, high = _shorter(first, second, axis)
+        odds = np.zeros((1, high - low))
+        for r, sign in ((first, -1), (second, 1)):
+            own = r.pieces(axis)
+            part = slice(max(own.start, low), min(own.stop, high))
+            odds[0, part.start - low : part.stop - low] += sides.odds[axis, sign][r.plane((axis, sign)), part]
         is_wall = likeliest_walls(odds, model)
-        if float(score_of(is_wall, odds, model).sum()) < 0 or not is_wall.any():
+        if float(score_of(is_wall, odds, model).sum()) <= 0:
             joined.append((a, b))
         across = 0.5 * (edges[a, 2 * axis + 1] + edges[b, 2 * axis])
-        for begin, end in _gaps(is_wall[0]):
-            passages.append(Passage(a, b, _line(surfaces, axis, across, low + begin, low + end)))
+        begin, end = _shared(first, second, axis)
+        for gap in _gaps(is_wall[0]):
+            gap_begin, gap_end = max(low + gap[0], begin), min(low + gap[1], end)
+            if (gap_end - gap_begin) * PIECE_M >= LEAST_DOOR_M:
+                passages.append(Passage(a, b, _line(surfaces, axis, across, gap_begin, gap_end)))
     return Borders(tuple(joined), tuple(passages))
 
 
@@ -95,6 +102,13 @@ def _neighbours(
             low, high = _shared(one[1], other[1], axis)
             if abs(other[1].plane((axis, 1)) - one[1].plane((axis, -1))) <= thick and (high - low) * PIECE_M > THICK_M:
                 yield one, other, axis
+
+
+def _shorter(a: Rectangle, b: Rectangle, axis: int) -> tuple[int, int]:
+    """The pieces of the shorter one of their sides at a border across an axis: an arm of an L has none of wall."""
+    mine, its = a.pieces(axis), b.pieces(axis)
+    least = mine if mine.stop - mine.start <= its.stop - its.start else its
+    return least.start, least.stop
 
 
 def _shared(a: Rectangle, b: Rectangle, axis: int) -> tuple[int, int]:

@@ -19,7 +19,7 @@ from station.places.rooms.evidence import Ground, gather_evidence
 from station.places.rooms.identity import inherited, new_id, new_names
 from station.places.rooms.segments import Gate, Labels, part_rooms
 from station.places.rooms.surfaces import Seen, find_surfaces
-from station.places.rooms.wall_model import wall_model
+from station.places.rooms.wall_model import WallModel, wall_model
 
 NO_EDITS = PlanEdits()
 
@@ -38,11 +38,24 @@ def make_floor_plan(
         previous: an earlier plan of the same home: its rooms keep their ids and names, and its axes stay.
         T_map_previous: (4, 4) carries the earlier plan's map frame into this one's, maybe with a scale; None: the same.
     """
-    T = np.eye(4) if T_map_previous is None else T_map_previous
     R = _axes(navigation, previous, T_map_previous)
+    return plan_along(R, navigation, places, wall_model(), edits, previous, T_map_previous)
+
+
+def plan_along(
+    R_ground_map: FloatArray,
+    navigation: Navigation,
+    places: Sequence[Place],
+    model: WallModel,
+    edits: PlanEdits = NO_EDITS,
+    previous: FloorPlan | None = None,
+    T_map_previous: FloatArray | None = None,
+) -> FloorPlan:
+    """`make_floor_plan` where the axes (3, 3) and what walls look like are given."""
+    R, T = R_ground_map, np.eye(4) if T_map_previous is None else T_map_previous
     ground = gather_evidence(navigation, R)
     drawn, erased = (_carried(lines, R, previous, T_map_previous) for lines in (edits.doors_drawn, edits.doors_erased))
-    segments = part_rooms(ground, find_surfaces(Seen.of(navigation, R)), wall_model(), drawn, erased)
+    segments = part_rooms(ground, find_surfaces(Seen.of(navigation, R)), model, drawn, erased)
     labels = segments.labels
     rooms = _rooms(ground, labels, segments.count, navigation.id, edits, previous, T)
     plan = FloorPlan(
