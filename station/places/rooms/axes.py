@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-
 from scipy import ndimage
 
 from shared.geometry import FloatArray, yaw_rotation

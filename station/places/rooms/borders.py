@@ -31,6 +31,7 @@ class Passage:
 @dataclass(frozen=True, slots=True, eq=False)
 class Borders:
     joined: tuple[tuple[int, int], ...]  # rectangles that nothing parts
+    lead: dict[tuple[int, int], float]  # nats: of that before the contrary, for rectangles side by side
     passages: tuple[Passage, ...]
 
 
@@ -53,7 +54,7 @@ def find_borders(
     rectangles: Sequence[Rectangle], edges: FloatArray, surfaces: Surfaces, sides: Sides, model: WallModel
 ) -> Borders:
     """How every two rectangles side by side belong together. `edges`: where they settled."""
-    joined, passages = [], []
+    joined, passages, lead = [], [], {}
     for (a, first), (b, second), axis in _neighbours(rectangles):
         low, high = _shorter(first, second, axis)
         odds = np.zeros((1, high - low))
@@ -62,7 +63,9 @@ def find_borders(
             part = slice(max(own.start, low), min(own.stop, high))
             odds[0, part.start - low : part.stop - low] += sides.odds[axis, sign][r.plane((axis, sign)), part]
         is_wall = likeliest_walls(odds, model)
-        if float(score_of(is_wall, odds, model).sum()) <= 0:
+        odds_of_two = float(score_of(is_wall, odds, model).sum())
+        lead[a, b] = abs(odds_of_two)
+        if odds_of_two <= 0:
             joined.append((a, b))
         across = 0.5 * (edges[a, 2 * axis + 1] + edges[b, 2 * axis])
         begin, end = _shared(first, second, axis)
@@ -70,7 +73,7 @@ def find_borders(
             gap_begin, gap_end = max(low + gap[0], begin), min(low + gap[1], end)
             if (gap_end - gap_begin) * PIECE_M >= LEAST_DOOR_M:
                 passages.append(Passage(a, b, _line(surfaces, axis, across, gap_begin, gap_end)))
-    return Borders(tuple(joined), tuple(passages))
+    return Borders(tuple(joined), lead, tuple(passages))
 
 
 def walls_of(rectangles: Sequence[Rectangle], edges: FloatArray, surfaces: Surfaces, sides: Sides) -> FloatArray:

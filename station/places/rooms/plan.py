@@ -17,7 +17,7 @@ from station.places.rooms.axes import plan_axes, turn_to_walls
 from station.places.rooms.belonging import rooms_of_places
 from station.places.rooms.evidence import Ground, gather_evidence
 from station.places.rooms.identity import inherited, new_id, new_names
-from station.places.rooms.segments import Gate, Labels, part_rooms
+from station.places.rooms.segments import Gate, Labels, Segments, part_rooms
 from station.places.rooms.surfaces import Seen, find_surfaces
 from station.places.rooms.wall_model import WallModel, wall_model
 
@@ -57,7 +57,7 @@ def plan_along(
     drawn, erased = (_carried(lines, R, previous, T_map_previous) for lines in (edits.doors_drawn, edits.doors_erased))
     segments = part_rooms(ground, find_surfaces(Seen.of(navigation, R)), model, drawn, erased)
     labels = segments.labels
-    rooms = _rooms(ground, labels, segments.count, navigation.id, edits, previous, T)
+    rooms = _rooms(ground, segments, navigation.id, edits, previous, T)
     plan = FloorPlan(
         R_ground_map=R,
         low=ground.low,
@@ -94,13 +94,13 @@ def _carried(
 
 def _rooms(
     ground: Ground,
-    labels: Labels,
-    count: int,
+    segments: Segments,
     navigation_id: str,
     edits: PlanEdits,
     previous: FloorPlan | None,
     T: FloatArray,
 ) -> tuple[Room, ...]:
+    labels, count = segments.labels, segments.count
     before = () if previous is None else previous.rooms
     same = (
         {} if previous is None else inherited(labels, count, ground.low, ground.cell, ground.R_ground_map, previous, T)
@@ -116,7 +116,8 @@ def _rooms(
             room_id, name = new_id(navigation_id, number, taken), next(names)
             taken.append(room_id)
         name = edits.names.get(room_id, name)
-        rooms.append(Room(room_id, name, float(cells.sum()) * ground.cell**2, _middle(ground, cells)))
+        area, certainty = float(cells.sum()) * ground.cell**2, segments.certainty[number - 1]
+        rooms.append(Room(room_id, name, area, _middle(ground, cells), certainty))
     return tuple(rooms)
 
 

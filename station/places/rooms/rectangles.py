@@ -19,6 +19,7 @@ from shared.geometry import FloatArray, IntArray
 from station.places.rooms.sides import Sides, best_runs
 from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Side, Surfaces
 from station.places.rooms.wall_model import WallModel
+from station.places.space.space import Cells
 
 MOST_PLANES = 24  # for each of the four sides: the strongest
 LEAST_M = 0.9  # a robot drives into nothing narrower
@@ -62,11 +63,19 @@ class Rectangle:
         return (self.x1 - self.x0) * (self.y1 - self.y0)
 
 
-def find_rectangles(surfaces: Surfaces, sides: Sides, model: WallModel) -> list[Rectangle]:
+@dataclass(frozen=True, slots=True)
+class Packed:
+    """The best set of rectangles."""
+
+    rectangles: tuple[Rectangle, ...]
+    lead: tuple[float, ...]  # nats: of this set before the best one without this rectangle or one nearly the same
+
+
+def find_rectangles(surfaces: Surfaces, sides: Sides, model: WallModel) -> Packed:
     """The best set of rectangles that the body entered."""
     planes = [strongest_planes(sides.odds[side]) for side in SIDES]
     if not all(len(found) for found in planes):
-        return []
+        return Packed((), ())
     return _packed(_Choices(planes, _scores(surfaces, sides, model, planes)), surfaces)
 
 
@@ -128,7 +137,7 @@ def _scores(surfaces: Surfaces, sides: Sides, model: WallModel, planes: list[Int
 LEAST_DRIVEN_M2 = PIECE_M  # half a metre of the way's width
 
 
-def _packed(choices: _Choices, surfaces: Surfaces) -> list[Rectangle]:
+def _packed(choices: _Choices, surfaces: Surfaces) -> Packed:
     step, beside = round(PRICE_M / LINE_M), round(BESIDE_M / LINE_M)
     shape = tuple(2 * n // step + 1 for n in surfaces.driven.shape)
     # The priced points in a rectangle; what lies as near its sides as a wall is thick has none.
@@ -159,7 +168,13 @@ def _packed(choices: _Choices, surfaces: Surfaces) -> list[Rectangle]:
             covers.append(cover.ravel())
         packing = _Packing.of(np.array(covers).T, np.array(score))
         price = packing.prices().reshape(shape)
-    return sorted(columns[k] for k in packing.chosen())
+    chosen = sorted(packing.chosen(), key=lambda k: columns[k])
+    best = sum(score[k] for k in chosen)
+    lead = []
+    for k in chosen:
+        others = np.array([columns[k].overlap(r) <= SAME for r in columns])
+        lead.append(best - sum(score[other] for other in packing.chosen(others)))
+    return Packed(tuple(columns[k] for k in chosen), tuple(lead))
 
 
 def _most_gainful(choices: _Choices, gain: FloatArray, known: set[Rectangle]) -> list[int]:
@@ -199,18 +214,23 @@ class _Packing:
     def prices(self) -> FloatArray:
         """(points,) of the ground: the dual of the linear relaxation."""
         solved = linprog(
-            -self.score, A_ub=sparse.csr_matrix(self.covers), b_ub=np.ones(len(self.covers)), bounds=(0, 1), method="highs-ds"
+            -self.score,
+            A_ub=sparse.csr_matrix(self.covers),
+            b_ub=np.ones(len(self.covers)),
+            bounds=(0, 1),
+            method="highs-ds",
         )
         dual = -solved.ineqlin.marginals / np.bincount(self.constraint, minlength=len(self.covers))
         return np.asarray(dual[self.constraint])
 
-    def chosen(self) -> list[int]:
+    def chosen(self, allowed: Cells | None = None) -> list[int]:
+        """Columns of the best set, of all or of those allowed (columns,)."""
         if not len(self.score):
             return []
         solved = milp(
             -self.score,
             constraints=LinearConstraint(sparse.csr_matrix(self.covers), -np.inf, 1.0),
             integrality=np.ones(len(self.score)),
-            bounds=Bounds(0, 1),
+            bounds=Bounds(0, np.ones(len(self.score)) if allowed is None else allowed.astype(np.float64)),
         )
         return [] if solved.x is None else np.flatnonzero(solved.x > 0.5).tolist()

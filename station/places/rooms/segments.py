@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -39,6 +40,7 @@ class Segments:
     count: int
     gates: tuple[Gate, ...]
     walls: FloatArray  # (W, 2, 2) on the ground, map units
+    certainty: tuple[float, ...]  # of each label from 1 on: that it is one room, and all of it
 
 
 def part_rooms(
@@ -50,9 +52,10 @@ def part_rooms(
 ) -> Segments:
     """Rooms that were entered; lines (2, 2) drawn by a person part them, doors erased by a person do not."""
     if surfaces is None:
-        return Segments(np.zeros(ground.free.shape, dtype=np.int32), 0, (), np.zeros((0, 2, 2)))
+        return Segments(np.zeros(ground.free.shape, dtype=np.int32), 0, (), np.zeros((0, 2, 2)), ())
     sides = weigh_sides(surfaces, model)
-    rectangles = find_rectangles(surfaces, sides, model)
+    packed = find_rectangles(surfaces, sides, model)
+    rectangles = packed.rectangles
     edges = settled(rectangles, surfaces)
     borders = find_borders(rectangles, edges, surfaces, sides, model)
     passages = [*borders.passages, *_passed_unseen(surfaces, edges, borders.passages)]
@@ -62,16 +65,20 @@ def part_rooms(
     labels = _labels(ground, edges, room_of)
     lines = [_line_cells(ground, line) for line in drawn]
     parted = _parted(labels, lines)
-    number = _in_order_of_entering(ground, parted, lines)
+    number = _in_order_of_entering(ground, parted)
     labels = number[parted]
-    gates = [
-        _gate_of(labels, ground, p)
-        for p in passages
-        if room_of[p.a] != room_of[p.b]
-    ]
+    gates = [_gate_of(labels, ground, p) for p in passages if room_of[p.a] != room_of[p.b]]
     gates += [gate for line, cells in zip(drawn, lines, strict=True) for gate in _drawn_gate(labels, line, cells)]
     found = _without_repeats([gate for gate in gates if gate is not None])
-    return Segments(labels, int(labels.max(initial=0)), tuple(found), walls_of(rectangles, edges, surfaces, sides) * ground.unit)
+    lead = np.full(len(number), np.inf)  # of labels as `parted` has them: what a person drew is sure
+    for (a, b), of_border in borders.lead.items():
+        lead[[room_of[a] + 1, room_of[b] + 1]] = np.minimum(lead[[room_of[a] + 1, room_of[b] + 1]], of_border)
+    for k, of_rectangle in enumerate(packed.lead):
+        lead[room_of[k] + 1] = min(lead[room_of[k] + 1], of_rectangle)
+    certainty = np.ones(count := int(labels.max(initial=0)))
+    certainty[number[number > 0] - 1] = 1.0 / (1.0 + np.exp(-lead[number > 0] / model.lead))
+    walls = walls_of(rectangles, edges, surfaces, sides) * ground.unit
+    return Segments(labels, count, tuple(found), walls, tuple(certainty.tolist()))
 
 
 def _passed_unseen(surfaces: Surfaces, edges: FloatArray, known: Sequence[Passage]) -> list[Passage]:
@@ -80,7 +87,7 @@ def _passed_unseen(surfaces: Surfaces, edges: FloatArray, known: Sequence[Passag
     inside = np.flatnonzero(at >= 0)
     pairs = {frozenset((p.a, p.b)) for p in known}
     found = []
-    for begin, end in zip(inside[:-1], inside[1:], strict=True):
+    for begin, end in itertools.pairwise(inside.tolist()):
         a, b = int(at[begin]), int(at[end])
         if a != b and frozenset((a, b)) not in pairs:
             pairs.add(frozenset((a, b)))
@@ -132,7 +139,7 @@ def _parted(labels: Labels, lines: Sequence[Cells]) -> Labels:
     return out
 
 
-def _in_order_of_entering(ground: Ground, labels: Labels, lines: Sequence[Cells]) -> Labels:
+def _in_order_of_entering(ground: Ground, labels: Labels) -> Labels:
     """(labels + 1,) each label's number, in the order in which the body first came; parts never entered come last."""
     visits = ground.visits[np.all((ground.visits >= 0) & (ground.visits < labels.shape), axis=1)]
     met = labels[tuple(visits.T)]

@@ -21,6 +21,7 @@ class WallModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     gap: float  # cost of a door or an opening in a wall
     gap_piece: float  # ... and of each piece of it
     room: float  # cost of a room more
+    lead: float  # nats by which a room is ahead of its rivals per unit of the log odds that it is right
 
 
 @cache
