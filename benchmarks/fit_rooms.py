@@ -217,7 +217,9 @@ def fit_lead(flats: Sequence[Flat], model: WallModel) -> float:
         lead += found.lead
         is_right += [max(r.overlap(other) for other in true) > SAME for r in found.rectangles]
     signed = np.where(is_right, -1.0, 1.0) * np.array(lead)
-    solved = minimize_scalar(lambda log: np.logaddexp(0.0, signed / np.exp(log)).sum(), bounds=(-3, 6), method="bounded")
+    solved = minimize_scalar(
+        lambda log: np.logaddexp(0.0, signed / np.exp(log)).sum(), bounds=(-3, 6), method="bounded"
+    )
     print(f"{np.count_nonzero(is_right)} of {len(lead)} rectangles are rooms", file=sys.stderr)
     return float(np.exp(solved.x))
 

@@ -28,10 +28,11 @@ PIECE_M = 2 * LINE_M  # of a plane
 FLOOR_PERCENT = 2.0  # of the landmarks lie lower than the floor: false ones
 SKIRTING_M = 0.08  # landmarks below stand on the floor, not on a wall
 SHORT_OF = 0.97, 0.05  # a sight ends this share of its way, and so many metres, before its landmark: depths err
-BEFORE_M = (0.2, 0.3, 0.4)  # a plane: where a sight must have come for it to be looked at
-COUNTS = (0, 1, 2, 4)  # least of each class; more do not say more
-UNSEEN = len(COUNTS)  # the class of crossings of a piece that nobody looked at
-CLASSES = len(COUNTS) * (len(COUNTS) + 1)
+BEFORE_M = (0.2, 0.3, 0.4)  # a plane: the sights that come so near look at it
+COUNTS = (0, 1, 2, 4)  # least of each class, of landmarks and of crossings; more do not say more
+LOOKED = (0, 1, 4)  # ... of the sights that look at a piece
+CLASSES = len(COUNTS) * len(COUNTS) * len(LOOKED)
+UNSEEN = 0  # the class of a piece of which nobody saw anything
 AREA_COUNTS = (0, 1, 4, 10, 30)
 DRIVEN = len(AREA_COUNTS)
 AREA_CLASSES = len(AREA_COUNTS) + 1
@@ -95,18 +96,18 @@ def find_surfaces(seen: Seen) -> Surfaces | None:
     return Surfaces(seen, low, classes, area, driven)
 
 
-def _class_of(on: FloatArray, crossed: FloatArray, looked_at: Cells) -> npt.NDArray[np.intp]:
-    crossing = np.where((crossed == 0) & ~looked_at, UNSEEN, _count_class(crossed, COUNTS))
-    return np.asarray(_count_class(on, COUNTS) * (len(COUNTS) + 1) + crossing)
+def _class_of(on: FloatArray, crossed: FloatArray, looked: FloatArray) -> npt.NDArray[np.intp]:
+    counts = _count_class(on, COUNTS) * len(COUNTS) + _count_class(crossed, COUNTS)
+    return np.asarray(counts * len(LOOKED) + _count_class(looked, LOOKED))
 
 
 def _count_class(count: FloatArray, least: tuple[int, ...]) -> npt.NDArray[np.intp]:
     return np.searchsorted(np.array(least), np.round(count), side="right") - 1
 
 
-def _looked_at(crossed: FloatArray, sign: int) -> Cells:
+def _looked_at(crossed: FloatArray, sign: int) -> FloatArray:
     steps = [round(distance / LINE_M) for distance in BEFORE_M]
-    return np.asarray(np.any([np.roll(crossed, -sign * step, axis=0) > 0 for step in steps], axis=0))
+    return np.asarray(np.max([np.roll(crossed, -sign * step, axis=0) for step in steps], axis=0))
 
 
 def _sights(navigation: Navigation, p: FloatArray, eyes: FloatArray) -> FloatArray:
