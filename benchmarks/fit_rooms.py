@@ -29,7 +29,7 @@ from shared.geometry import FloatArray, IntArray, inverse_sim3, rotation_of, tra
 from station.places.making.scale import units_per_metre
 from station.places.rooms.plan import make_floor_plan
 from station.places.rooms.rectangles import SAME, Rectangle, find_rectangles
-from station.places.rooms.sides import Sides, weigh_sides
+from station.places.rooms.sides import Sides, gap_costs, gaps_of, weigh_sides
 from station.places.rooms.surfaces import (
     AREA_CLASSES,
     CLASSES,
@@ -46,11 +46,11 @@ from station.places.rooms.wall_model import GENERATED, WallModel, wall_model
 OFF_WALL_M = 0.2  # what counts as in a room, not at its walls
 AROUND_M = 1.5  # the flat counts as outside
 NEAR = 3  # planes to either side of a true wall
-COSTS = ("gap", "gap_piece", "room", "area_weight")
-USUAL_COSTS = (10.0, 0.5, 10.0, 0.03)  # an order of magnitude, to begin with
+COSTS = ("door", "gap", "gap_piece", "room", "area_weight")
 MARGIN = 100.0  # nats by which true rooms should be ahead of what is wholly wrong
-ROUNDS = 6
-SIMPLEX = {"maxiter": 1500, "xatol": 1e-3, "fatol": 1e-3}
+STAY = 20.0  # nats by which a step to e times a cost must pay
+ROUNDS = 8
+SIMPLEX = {"maxiter": 3000, "xatol": 1e-3, "fatol": 1e-3}
 SAMPLES = 400  # of each room, anywhere in it
 
 
@@ -161,21 +161,24 @@ def score(r: Rectangle, sides: Sides, model: WallModel) -> float:
 
 
 def worth(rectangles: Sequence[Rectangle], sides: Sides, model: WallModel) -> FloatArray:
-    """(5,) what a set of rectangles gains from walls, then how often each of the costs counts."""
+    """(6,) what a set of rectangles gains from walls, then how often each of the costs counts."""
     total = np.zeros(1 + len(COSTS))
     for r in rectangles:
         for side in SIDES:
             plane, pieces = r.plane(side), r.pieces(side[0])
             is_wall = sides.is_wall[side][plane, pieces]
-            gaps = int(np.count_nonzero(is_wall[:-1] & ~is_wall[1:]))
-            total[:3] += np.array([sides.odds[side][plane, pieces][is_wall].sum(), gaps, np.count_nonzero(~is_wall)])
+            total[0] += sides.odds[side][plane, pieces][is_wall].sum()
+            for begin, end in gaps_of(sides.is_wall[side][plane]):  # those at the ends count in part
+                part = max(min(end, pieces.stop) - max(begin, pieces.start), 0) / (end - begin)
+                is_door = gap_costs(np.array([end - begin]), model)[0] == model.door
+                total[1:4] += part * np.array([is_door, not is_door, 0 if is_door else end - begin])
         area = sides.area[r.x1, r.y1] - sides.area[r.x0, r.y1] - sides.area[r.x1, r.y0] + sides.area[r.x0, r.y0]
-        total[3:] += np.array([1.0, area / model.area_weight])
+        total[4:] += np.array([1.0, area / model.area_weight])
     return total
 
 
 def _weights(costs: Sequence[float]) -> FloatArray:
-    return np.array([1.0, -costs[0], -costs[1], -costs[2], costs[3]])
+    return np.array([1.0, *(-cost for cost in costs[:-1]), costs[-1]])
 
 
 def wrongness(true: Sequence[Rectangle], found: Sequence[Rectangle]) -> float:
@@ -186,8 +189,9 @@ def wrongness(true: Sequence[Rectangle], found: Sequence[Rectangle]) -> float:
 
 
 def fit_costs(flats: Sequence[Flat], model: WallModel) -> WallModel:
-    """The costs after a few rounds of finding better rectangles than the true ones and outbidding them."""
+    """The best costs of a few rounds: in each, what the packing finds instead of the true rooms is to be outbid."""
     rivals: list[tuple[int, FloatArray, float]] = []  # flat, what it lacks to the true rooms, how wrong it is
+    least, best = np.inf, model
     for _ in range(ROUNDS):
         wrong = []
         for number, flat in enumerate(flats):
@@ -195,17 +199,30 @@ def fit_costs(flats: Sequence[Flat], model: WallModel) -> WallModel:
             true, found = true_rectangles(flat, sides, model), find_rectangles(flat.surfaces, sides, model).rectangles
             wrong.append(wrongness(true, found))
             rivals.append((number, worth(true, sides, model) - worth(found, sides, model), wrong[-1]))
-        print(
-            f"{model.gap:.3g} {model.gap_piece:.3g} {model.room:.3g} {model.area_weight:.3g}: ", end="", file=sys.stderr
+        costs = ", ".join(f"{cost} {getattr(model, cost):.3g}" for cost in COSTS)
+        print(f"{costs}: wrong {np.mean(wrong):.3f} {np.round(wrong, 2).tolist()}", file=sys.stderr, flush=True)
+        if np.mean(wrong) < least:
+            least, best = float(np.mean(wrong)), model
+        begin = np.log([getattr(best, cost) for cost in COSTS])
+        solved = minimize(_regret, begin, args=(begin, rivals, len(flats)), method="Nelder-Mead", options=SIMPLEX)
+        model = msgspec.structs.replace(
+            model, **dict(zip(COSTS, (float(f"{c:.3g}") for c in np.exp(solved.x)), strict=True))
         )
-        print(f"wrong {np.mean(wrong):.3f} ({np.round(wrong, 2).tolist()})", file=sys.stderr, flush=True)
-        begins = [np.log([getattr(model, cost) for cost in COSTS]), np.log(USUAL_COSTS)]
-        solved = [
-            minimize(_regret, x, args=(rivals, len(flats)), method="Nelder-Mead", options=SIMPLEX) for x in begins
-        ]
-        costs = np.exp(min(solved, key=lambda result: result.fun).x)
-        model = msgspec.structs.replace(model, **dict(zip(COSTS, (float(f"{c:.3g}") for c in costs), strict=True)))
-    return model
+    return best
+
+
+def _regret(
+    log_costs: FloatArray, near: FloatArray, rivals: Sequence[tuple[int, FloatArray, float]], count: int
+) -> float:
+    """Mean over the flats of the worst lack of margin, and how far the costs are from the best so far.
+
+    What the rivals are was found at other costs and holds near them only (a proximal bundle method).
+    """
+    weights = _weights(np.exp(log_costs).tolist())
+    worst = np.zeros(count)
+    for number, lacks, wrong in rivals:
+        worst[number] = max(worst[number], MARGIN * wrong - float(lacks @ weights))
+    return float(worst.mean() + STAY * ((log_costs - near) ** 2).sum())
 
 
 def fit_lead(flats: Sequence[Flat], model: WallModel) -> float:
@@ -222,15 +239,6 @@ def fit_lead(flats: Sequence[Flat], model: WallModel) -> float:
     )
     print(f"{np.count_nonzero(is_right)} of {len(lead)} rectangles are rooms", file=sys.stderr)
     return float(np.exp(solved.x))
-
-
-def _regret(log_costs: FloatArray, rivals: Sequence[tuple[int, FloatArray, float]], count: int) -> float:
-    """Mean over the flats of the worst lack of margin, and how unusual the costs are."""
-    weights = _weights(np.exp(log_costs).tolist())
-    worst = np.zeros(count)
-    for number, lacks, wrong in rivals:
-        worst[number] = max(worst[number], MARGIN * wrong - float(lacks @ weights))
-    return float(worst.mean() + ((log_costs - np.log(USUAL_COSTS)) ** 2).sum())
 
 
 def main() -> int:

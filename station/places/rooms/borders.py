@@ -10,10 +10,9 @@ import numpy as np
 
 from shared.geometry import FloatArray, IntArray
 from station.places.rooms.rectangles import Rectangle
-from station.places.rooms.sides import Sides, likeliest_walls, score_of
+from station.places.rooms.sides import DOOR_PIECES, Sides, gaps_of, likeliest_walls, score_of
 from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Surfaces
 from station.places.rooms.wall_model import WallModel
-from station.places.space.space import Cells
 
 THICK_M = 0.35  # a wall at most, and errors of both its faces
 LEAST_DOOR_M = 0.45  # no robot passes a narrower gap
@@ -65,11 +64,12 @@ def find_borders(
         is_wall = likeliest_walls(odds, model)
         odds_of_two = float(score_of(is_wall, odds, model).sum())
         lead[a, b] = abs(odds_of_two)
-        if odds_of_two <= 0:
+        widest = max((end - begin for begin, end in gaps_of(is_wall[0])), default=0)
+        if odds_of_two <= 0 and widest > DOOR_PIECES[-1]:  # an opening; a door parts rooms
             joined.append((a, b))
         across = 0.5 * (edges[a, 2 * axis + 1] + edges[b, 2 * axis])
         begin, end = _shared(first, second, axis)
-        for gap in _gaps(is_wall[0]):
+        for gap in gaps_of(is_wall[0]):
             gap_begin, gap_end = max(low + gap[0], begin), min(low + gap[1], end)
             if (gap_end - gap_begin) * PIECE_M >= LEAST_DOOR_M:
                 passages.append(Passage(a, b, _line(surfaces, axis, across, gap_begin, gap_end)))
@@ -83,7 +83,7 @@ def walls_of(rectangles: Sequence[Rectangle], edges: FloatArray, surfaces: Surfa
         for r, its_edges in zip(rectangles, edges, strict=True)
         for side, across in zip(SIDES, its_edges, strict=True)
         for pieces in [r.pieces(side[0])]
-        for begin, end in _gaps(~sides.is_wall[side][r.plane(side), pieces])
+        for begin, end in gaps_of(~sides.is_wall[side][r.plane(side), pieces])
     ]
     return np.array(segments).reshape(-1, 2, 2)
 
@@ -118,12 +118,6 @@ def _shared(a: Rectangle, b: Rectangle, axis: int) -> tuple[int, int]:
     """The pieces that both have of a border across an axis."""
     mine, its = a.pieces(axis), b.pieces(axis)
     return max(mine.start, its.start), min(mine.stop, its.stop)
-
-
-def _gaps(is_wall: Cells) -> list[tuple[int, int]]:
-    """Begin and end of each stretch without wall."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], is_wall, [True]]).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def rectangles_at(edges: FloatArray, p: FloatArray) -> IntArray:

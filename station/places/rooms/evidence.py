@@ -32,6 +32,7 @@ class Ground:
     unit: float  # map units per metre
     free: Cells  # seen through or driven through, and nothing stands there
     driven: Cells
+    known: Cells  # the body was there, or comes there through nothing narrower than a door that it passed
     occupied: Cells
     visits: npt.NDArray[np.int64]  # (n, 2) cells of the body's path, in its order
 
@@ -73,6 +74,7 @@ def gather_evidence(navigation: Navigation, R_ground_map: FloatArray) -> Ground:
         unit=unit,
         free=free,
         driven=space.driven,
+        known=space.known,
         occupied=occupied & ~free,
         visits=visits,
     )

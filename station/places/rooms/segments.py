@@ -108,16 +108,13 @@ def _rooms_of(count: int, joined: Iterable[tuple[int, int]]) -> list[int]:
 
 
 def _labels(ground: Ground, edges: FloatArray, room_of: Sequence[int]) -> Labels:
-    """Rectangles, and what the body drove through beside them: that belongs to the nearest. Without any: one room."""
+    """Rectangles, and free space beside them that the map knows: of the nearest. Without a rectangle it is one room."""
     shape = ground.free.shape
     index = np.indices(shape).reshape(2, -1).T
-    p = (ground.low + (index + 0.5) * ground.cell) / ground.unit
-    of = rectangles_at(edges, p)
+    of = rectangles_at(edges, (ground.low + (index + 0.5) * ground.cell) / ground.unit)
     table = np.array([*(room + 1 for room in room_of), 0], dtype=np.int32)
     labels = table[of].reshape(shape)
-    left, _ = ndimage.label(ground.free & (labels == 0))
-    entered = np.unique(left[ground.driven & (left > 0)])
-    beside = np.isin(left, entered[entered > 0])
+    beside = ground.free & ground.known & (labels == 0)
     if not len(edges):
         return np.asarray(beside, dtype=np.int32)
     nearest = ndimage.distance_transform_edt(labels == 0, return_distances=False, return_indices=True)

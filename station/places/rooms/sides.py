@@ -6,10 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, IntArray
 from station.places.rooms.surfaces import SIDES, Side, Surfaces
 from station.places.rooms.wall_model import WallModel
 from station.places.space.space import Cells
+
+DOOR_PIECES = range(6, 13)  # of 10 cm: doors are 0.7 to 1.1 m wide, and pieces err by one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,25 +41,64 @@ def weigh_sides(surfaces: Surfaces, model: WallModel) -> Sides:
 
 
 def likeliest_walls(odds: FloatArray, model: WallModel) -> Cells:
-    """(planes, pieces) wall or gap: a gap costs once, and a little for each of its pieces."""
-    wall, gap = np.zeros(len(odds)), np.full(len(odds), -model.gap)
-    from_gap, from_wall = np.zeros(odds.shape, np.bool_), np.zeros(odds.shape, np.bool_)
-    for j in range(odds.shape[1]):
-        from_gap[:, j], from_wall[:, j] = gap > wall, wall - model.gap > gap
-        wall, gap = np.maximum(wall, gap) + odds[:, j], np.maximum(wall - model.gap, gap) - model.gap_piece
-    is_wall = np.zeros(odds.shape, np.bool_)
-    here = wall >= gap
-    for j in range(odds.shape[1] - 1, -1, -1):
-        is_wall[:, j] = here
-        here = np.where(here, ~from_gap[:, j], from_wall[:, j])
+    """(planes, pieces) the best sequence of wall and gaps (Viterbi); a door may be a gap of the usual widths."""
+    n, count = odds.shape
+    wall = np.full((n, count + 1), -np.inf)  # best score so far that ends with a wall before piece j
+    gap = np.full((n, count + 1), -np.inf)
+    wall[:, 0], gap[:, 0] = 0.0, -model.gap
+    came = np.zeros((n, count + 1), dtype=np.int64)  # how many pieces of gap lie before the wall: 0, a door, or -1
+    opened = np.zeros((n, count + 1), dtype=np.bool_)
+    for j in range(1, count + 1):
+        before = np.stack(
+            [wall[:, j - 1], gap[:, j - 1], *(wall[:, max(j - 1 - d, 0)] - model.door for d in DOOR_PIECES)]
+        )
+        before[2:][np.array(DOOR_PIECES) > j - 1] = -np.inf
+        best = before.argmax(axis=0)
+        came[:, j] = np.array([0, -1, *DOOR_PIECES])[best]
+        wall[:, j] = before[best, np.arange(n)] + odds[:, j - 1]
+        opened[:, j] = wall[:, j - 1] - model.gap > gap[:, j - 1]
+        gap[:, j] = np.maximum(wall[:, j - 1] - model.gap, gap[:, j - 1]) - model.gap_piece
+    return _traced(wall[:, -1] >= gap[:, -1], came, opened)
+
+
+def _traced(ends_with_wall: Cells, came: IntArray, opened: Cells) -> Cells:
+    """Labels (planes, pieces) from how each was reached."""
+    count = came.shape[1] - 1
+    is_wall = np.zeros((len(came), count), dtype=np.bool_)
+    here, skip = ends_with_wall.copy(), np.zeros(len(came), dtype=np.int64)  # pieces of a door still to pass
+    for j in range(count, 0, -1):
+        passing = skip > 0
+        is_wall[:, j - 1] = here & ~passing
+        skip[passing] -= 1
+        of_wall, of_gap = here & ~passing, ~here & ~passing
+        skip[of_wall] = np.maximum(came[of_wall, j], 0)
+        here[of_wall] = came[of_wall, j] >= 0
+        here[of_gap] = opened[of_gap, j]
     return is_wall
 
 
 def score_of(is_wall: Cells, odds: FloatArray, model: WallModel) -> FloatArray:
-    """(planes, pieces) what labels gain or cost; a gap's own cost lies on its first piece."""
-    score = np.where(is_wall, odds, -model.gap_piece)
-    score[:, 1:][is_wall[:, :-1] & ~is_wall[:, 1:]] -= model.gap
-    return score
+    """(planes, pieces) what labels gain or cost; all pieces of a gap bear its cost, also for sides that end in it."""
+    edges = np.diff(np.pad(~is_wall, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    (row, begin), (_, end) = np.nonzero(edges == 1), np.nonzero(edges == -1)
+    share = gap_costs(end - begin, model) / (end - begin)
+    steps = np.zeros(edges.shape)
+    steps[row, begin] = share
+    steps[row, end] = -share
+    return np.where(is_wall, odds, -steps.cumsum(axis=1)[:, :-1])
+
+
+def gap_costs(pieces: IntArray, model: WallModel) -> FloatArray:
+    """(n,) of gaps of so many pieces."""
+    cost = model.gap + model.gap_piece * pieces
+    is_door = np.isin(pieces, DOOR_PIECES)
+    return np.asarray(np.where(is_door, np.minimum(cost, model.door), cost))
+
+
+def gaps_of(is_wall: Cells) -> list[tuple[int, int]]:
+    """Begin and end of each stretch without wall."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], is_wall, [True]]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def best_runs(odds: FloatArray) -> tuple[FloatArray, np.ndarray, np.ndarray]:
