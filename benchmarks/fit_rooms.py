@@ -48,8 +48,8 @@ AROUND_M = 1.5  # the flat counts as outside
 NEAR = 3  # planes to either side of a true wall
 COSTS = ("door", "gap", "gap_piece", "room", "area_weight")
 MARGIN = 100.0  # nats by which true rooms should be ahead of what is wholly wrong
-STAY = 20.0  # nats by which a step to e times a cost must pay
-ROUNDS = 8
+STAY = 5.0  # nats by which a step to e times a cost must pay
+ROUNDS = 6
 SIMPLEX = {"maxiter": 3000, "xatol": 1e-3, "fatol": 1e-3}
 SAMPLES = 400  # of each room, anywhere in it
 
@@ -227,7 +227,8 @@ def _regret(
 
 def fit_lead(flats: Sequence[Flat], model: WallModel) -> float:
     """Nats per unit of log odds with which the rectangles' leads predict best which of them are true rooms."""
-    lead, is_right = [], []
+    lead: list[float] = []
+    is_right: list[bool] = []
     for flat in flats:
         sides = weigh_sides(flat.surfaces, model)
         true, found = true_rectangles(flat, sides, model), find_rectangles(flat.surfaces, sides, model)
