@@ -2,7 +2,7 @@
 
     python -m benchmarks.fit_rooms --worlds home:900-901 plain:900-902 --cache DIR
 
-What walls and rooms look like is counted beside the simulator's truth. The four costs that are left are those with
+What walls and rooms look like is counted beside the simulator's truth. The five costs that are left are those with
 which the true rooms are worth more than any other set of rectangles that is found, by a margin that grows with how
 wrong that set is (structured support vector machine with cutting planes: Tsochantaridis et al., JMLR 2005). None of
 these flats may be used to judge the result.
