@@ -21,7 +21,8 @@ from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Side, Surfaces
 from station.places.rooms.wall_model import WallModel
 from station.places.space.space import Cells
 
-MOST_PLANES = 24  # for each of the four sides: the strongest
+MOST_PLANES = 20  # for each of the four sides: the strongest
+MOST_OPEN = 8  # ... and, for open ones, the strongest of the opposite side
 LEAST_M = 0.9  # a robot drives into nothing narrower
 BESIDE_M = 0.1  # a wall is as thick: two planes nearer with the same landmarks are one
 PRICE_M = 0.25  # between the points of the ground that have a price
@@ -73,19 +74,22 @@ class Packed:
 
 def find_rectangles(surfaces: Surfaces, sides: Sides, model: WallModel) -> Packed:
     """The best set of rectangles that the body entered."""
-    planes = [strongest_planes(sides.odds[side]) for side in SIDES]
+    walls = {side: strongest_planes(sides.odds[side], MOST_PLANES) for side in SIDES}
+    # An open side shows no wall: it begins where another rectangle's wall ends.
+    opposite = {(axis, sign): strongest_planes(sides.odds[axis, -sign], MOST_OPEN) for axis, sign in SIDES}
+    planes = [np.union1d(walls[side], opposite[side]) for side in SIDES]
     if not all(len(found) for found in planes):
         return Packed((), ())
     return _packed(_Choices(planes, _scores(surfaces, sides, model, planes)), surfaces)
 
 
-def strongest_planes(odds: FloatArray) -> IntArray:
+def strongest_planes(odds: FloatArray, most: int) -> IntArray:
     """Numbers of the planes with the likeliest walls; each stretch of wall counts on the best of near planes only."""
     left = odds.copy()
     reach = round(BESIDE_M / LINE_M)
     strength, begin, end = best_runs(left)
     found: set[int] = set()
-    while len(found) < MOST_PLANES and strength.max() > 0:
+    while len(found) < most and strength.max() > 0:
         k = int(strength.argmax())
         found.add(k)
         left[max(k - reach, 0) : k + reach + 1, begin[k] : end[k]] = -np.inf
@@ -217,7 +221,7 @@ class _Packing:
             -self.score,
             A_ub=sparse.csr_matrix(self.covers),
             b_ub=np.ones(len(self.covers)),
-            bounds=(0, 1),
+            bounds=(0, None),  # the constraints bound them; a bound of its own would take a part of the price
             method="highs-ds",
         )
         dual = -solved.ineqlin.marginals / np.bincount(self.constraint, minlength=len(self.covers))

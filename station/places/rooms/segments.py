@@ -51,34 +51,57 @@ def part_rooms(
     erased: Sequence[FloatArray],
 ) -> Segments:
     """Rooms that were entered; lines (2, 2) drawn by a person part them, doors erased by a person do not."""
-    if surfaces is None:
-        return Segments(np.zeros(ground.free.shape, dtype=np.int32), 0, (), np.zeros((0, 2, 2)), ())
-    sides = weigh_sides(surfaces, model)
-    packed = find_rectangles(surfaces, sides, model)
-    rectangles = packed.rectangles
-    edges = settled(rectangles, surfaces)
-    borders = find_borders(rectangles, edges, surfaces, sides, model)
-    passages = [*borders.passages, *_passed_unseen(surfaces, edges, borders.passages)]
-    is_erased = [any(_is_same(p.ends * ground.unit, line) for line in erased) for p in passages]
-    joined = [*borders.joined, *((p.a, p.b) for p, is_none in zip(passages, is_erased, strict=True) if is_none)]
-    room_of = _rooms_of(len(rectangles), joined)
-    labels = _labels(ground, edges, room_of)
+    layout = _lay_out(surfaces, model)
+    is_erased = [any(_is_same(p.ends * ground.unit, line) for line in erased) for p in layout.passages]
+    gone = [(p.a, p.b) for p, is_none in zip(layout.passages, is_erased, strict=True) if is_none]
+    room_of = _rooms_of(len(layout.edges), [*layout.joined, *gone])
     lines = [_line_cells(ground, line) for line in drawn]
-    parted = _parted(labels, lines)
+    parted = _parted(_labels(ground, layout.edges, room_of), lines)
     number = _in_order_of_entering(ground, parted)
-    labels = number[parted]
-    gates = [_gate_of(labels, ground, p) for p in passages if room_of[p.a] != room_of[p.b]]
+    labels, count = number[parted], int(number.max(initial=0))
+    gates = [_gate_of(labels, ground, p) for p in layout.passages if room_of[p.a] != room_of[p.b]]
     gates += [gate for line, cells in zip(drawn, lines, strict=True) for gate in _drawn_gate(labels, line, cells)]
     found = _without_repeats([gate for gate in gates if gate is not None])
-    lead = np.full(len(number), np.inf)  # of labels as `parted` has them: what a person drew is sure
-    for (a, b), of_border in borders.lead.items():
-        lead[[room_of[a] + 1, room_of[b] + 1]] = np.minimum(lead[[room_of[a] + 1, room_of[b] + 1]], of_border)
-    for k, of_rectangle in enumerate(packed.lead):
-        lead[room_of[k] + 1] = min(lead[room_of[k] + 1], of_rectangle)
-    certainty = np.ones(count := int(labels.max(initial=0)))
-    certainty[number[number > 0] - 1] = 1.0 / (1.0 + np.exp(-lead[number > 0] / model.lead))
-    walls = walls_of(rectangles, edges, surfaces, sides) * ground.unit
-    return Segments(labels, count, tuple(found), walls, tuple(certainty.tolist()))
+    certainty = np.ones(count)  # what a person drew is sure
+    for label, lead in _leads(layout, room_of).items():
+        if label < len(number) and number[label]:
+            certainty[number[label] - 1] = 1.0 / (1.0 + np.exp(-lead / model.lead))
+    return Segments(labels, count, tuple(found), layout.walls * ground.unit, tuple(certainty.tolist()))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Layout:
+    """Rectangles, and what lies between them. Lengths are metres on the ground."""
+
+    edges: FloatArray  # (n, 4) of the rectangles
+    joined: tuple[tuple[int, int], ...]  # pairs that nothing parts
+    passages: tuple[Passage, ...]
+    leads: tuple[tuple[int, float], ...]  # nats: of what was decided about a rectangle before the contrary
+    walls: FloatArray  # (W, 2, 2)
+
+
+def _lay_out(surfaces: Surfaces | None, model: WallModel) -> _Layout:
+    """The likeliest rectangles; none without evidence."""
+    if surfaces is None:
+        return _Layout(np.zeros((0, 4)), (), (), (), np.zeros((0, 2, 2)))
+    sides = weigh_sides(surfaces, model)
+    packed = find_rectangles(surfaces, sides, model)
+    edges = settled(packed.rectangles, surfaces)
+    borders = find_borders(packed.rectangles, edges, surfaces, sides, model)
+    passages = (*borders.passages, *_passed_unseen(surfaces, edges, borders.passages))
+    leads = (*enumerate(packed.lead), *((k, lead) for pair, lead in borders.lead.items() for k in pair))
+    return _Layout(edges, borders.joined, passages, leads, walls_of(packed.rectangles, edges, surfaces, sides))
+
+
+def _leads(layout: _Layout, room_of: Sequence[int]) -> dict[int, float]:
+    """Label of each room as `_labels` gives them -> nats: the least lead of all that was decided about it."""
+    if not len(layout.edges):
+        return {1: 0.0}  # one room for want of evidence
+    least: dict[int, float] = {}
+    for k, lead in layout.leads:
+        label = room_of[k] + 1
+        least[label] = min(least.get(label, np.inf), lead)
+    return least
 
 
 def _passed_unseen(surfaces: Surfaces, edges: FloatArray, known: Sequence[Passage]) -> list[Passage]:

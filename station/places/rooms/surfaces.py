@@ -17,7 +17,7 @@ from scipy import ndimage
 from shared.geometry import FloatArray, IntArray, yaw_rotation
 from station.model.navigation import Navigation
 from station.places.making.scale import units_per_metre
-from station.places.space.carving import FARTHEST_M
+from station.places.space.carving import FARTHEST_M, MAX_CELLS
 from station.places.space.sight import SECTORS
 from station.places.space.space import Cells
 
@@ -80,11 +80,13 @@ class Surfaces:
 
 
 def find_surfaces(seen: Seen) -> Surfaces | None:
-    """Evidence of one navigation; None where it saw nothing."""
+    """Evidence of one navigation; None where it saw nothing, or drove too far for one flat: through a whole quarter."""
     if not len(seen.path) or not len(seen.sights):
         return None
     low = np.floor((seen.path.min(axis=0) - FARTHEST_M) / PIECE_M) * PIECE_M
     shape = np.ceil((seen.path.max(axis=0) + FARTHEST_M - low) / PIECE_M).astype(int)
+    if np.prod(shape.astype(float)) > MAX_CELLS:
+        return None
     grid = _Grid(low, (int(shape[0]), int(shape[1])))
     crossed = [grid.crossed(seen.sights, axis) + COUNTS[-1] * grid.driven_through(seen.path, axis) for axis in (0, 1)]
     classes = {}
