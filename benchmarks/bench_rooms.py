@@ -77,10 +77,14 @@ def figures(rows: list[Row]) -> list[Figure]:
         Figure("true walls to the nearest wall of the plan, median", _median(missed), "m", of=len(judged)),
         Figure("CPU time of the plan of a three-room flat, largest", max(small, default=None), "s", at_most=3),
     ]
+    for is_right, word in ((True, "right"), (False, "wrong")):
+        sure = [c for j in judged for c, right in zip(j.certainty, j.is_right, strict=True) if right == is_right]
+        mean = float(np.mean(sure)) if sure else None
+        made.append(Figure(f"certainty of rooms, mean: of those that are {word}", mean, of=len(sure)))
     for kind in dict.fromkeys(row.name.world for row in rows):
         mine = [row for row in rows if row.name.world == kind]
         good = sum(row.judgement is not None and row.judgement.is_count_right for row in mine)
-        made.append(share(f"{kind}: flats whose number of rooms is right", good, len(mine)))
+        made.append(share(f"number of rooms right: {kind}", good, len(mine)))
     return made
 
 

@@ -16,6 +16,7 @@ from station.model.floor_plan import FloorPlan
 GRID_M = 0.05
 DOOR_M = 0.3  # a door is found when a door of the plan has its middle so near
 SAMPLE_M = 0.1  # along walls
+RIGHT_IOU = 0.7  # two rooms run together overlap each of them less
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +31,8 @@ class Judgement:
     doors_found: int
     wall_error_m: tuple[float, ...]  # of points along the plan's walls to the nearest true wall
     wall_missed_m: tuple[float, ...]  # of points along the true walls to the nearest wall of the plan
+    certainty: tuple[float, ...]  # of each room of the plan, as the plan has it
+    is_right: tuple[bool, ...]  # of each room of the plan: whether a true room overlaps it by RIGHT_IOU
 
     @property
     def is_count_right(self) -> bool:
@@ -43,15 +46,18 @@ def judge(mapped: MappedRooms, plan: FloorPlan) -> Judgement:
     true_at, p_world = _true_labels(world, names)
     found_at = plan.rooms_at(transform(inverse_sim3(T), p_world)).astype(np.int64)
     doors = true_doors(world)
+    iou = _overlaps(true_at, found_at, len(names), len(plan.rooms))
     return Judgement(
         rooms=len(plan.rooms),
         true_rooms=len(names),
-        iou=tuple(_overlaps(true_at, found_at, len(names), len(plan.rooms)).tolist()),
+        iou=tuple(_assigned(iou).tolist()),
         doors=len(plan.doors),
         true_doors=len(doors),
         doors_found=_doors_found(doors, _on_world(plan, T, [door.ends.mean(axis=0) for door in plan.doors])),
         wall_error_m=tuple(_distances(_plan_walls(plan, T), _true_walls(world))),
         wall_missed_m=tuple(_distances(_true_walls(world), _plan_walls(plan, T))),
+        certainty=tuple(room.certainty for room in plan.rooms),
+        is_right=tuple((iou.max(axis=0, initial=0.0)[: len(plan.rooms)] >= RIGHT_IOU).tolist()),
     )
 
 
@@ -78,15 +84,20 @@ def _true_labels(world: World, names: list[str]) -> tuple[IntArray, FloatArray]:
 
 
 def _overlaps(true_at: IntArray, found_at: IntArray, true_count: int, count: int) -> FloatArray:
-    """(true_count,) intersection over union, by the assignment with the largest sum."""
+    """(true_count, max(count, 1)) intersection over union of all pairs."""
     iou = np.zeros((true_count, max(count, 1)))
     for i in range(true_count):
         for j in range(count):
             both = int(np.count_nonzero((true_at == i) & (found_at == j)))
             either = int(np.count_nonzero((true_at == i) | (found_at == j)))
             iou[i, j] = both / max(either, 1)
+    return iou
+
+
+def _assigned(iou: FloatArray) -> FloatArray:
+    """(true_count,) each true room's overlap with the room of the plan assigned to it, with the largest sum."""
     rows, columns = linear_sum_assignment(-iou)
-    out = np.zeros(true_count)
+    out = np.zeros(len(iou))
     out[rows] = iou[rows, columns]
     return out
 

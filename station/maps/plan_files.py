@@ -74,6 +74,8 @@ def decode_plan(content: Mapping[str, Any]) -> PlanRecord | None:
     numbers = [plan.cell, plan.unit, *(room.area for room in plan.rooms), *(s.confidence for s in plan.suggestions)]
     if not all(map(math.isfinite, numbers)) or min(plan.cell, plan.unit) <= 0:
         raise ValueError("a length of its floor plan is none")
+    if not all(0.0 <= room.certainty <= 1.0 for room in plan.rooms):
+        raise ValueError("a probability of its floor plan is none")
     ids = {room.id for room in plan.rooms}
     named = [*plan.room_of_place.values(), *(id for door in plan.doors for id in door.rooms if id is not None)]
     if len(ids) < len(plan.rooms) or not ids.issuperset(named):

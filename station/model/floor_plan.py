@@ -26,6 +26,7 @@ class Room:
     name: str
     area: float  # square map units
     middle: FloatArray  # (2,) a free cell of it, far from its walls: where its name is written
+    certainty: float = 1.0  # probability that it is one room, and all of it; 1 in plans from before it was known
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -119,7 +119,11 @@ def room_before(sighting: Sighting, plan: FloorPlan) -> int | None:
 
 
 def suggestions(sightings: Iterable[Sighting], plan: FloorPlan) -> tuple[NameSuggestion, ...]:
-    """One suggestion per room and name. A sticker that seems to hang in two rooms names that of its nearest view."""
+    """One suggestion per room and name. A sticker that seems to hang in two rooms names that of its nearest view.
+
+    Where the plan may have joined two rooms the sticker names one of them, and nobody knows which: no suggestion is
+    surer than the plan is of the room.
+    """
     by_room: dict[int, dict[str, list[Sighting]]] = defaultdict(dict)
     for group in _one_sticker_each(sightings, plan.unit):
         votes: dict[int, list[Sighting]] = defaultdict(list)
@@ -160,7 +164,7 @@ def _suggestion(plan: FloorPlan, room: int, name: str, seen: list[Sighting], sha
         room=plan.rooms[room].id,
         name=name,
         source="sticker",
-        confidence=share * (OWN_TRUST if any(s.is_ours for s in seen) else PLAIN_TRUST),
+        confidence=share * plan.rooms[room].certainty * (OWN_TRUST if any(s.is_ours for s in seen) else PLAIN_TRUST),
         reason=f'A sticker that reads "{name}" hangs here: {pictures} show it, the nearest from {distance_m:.1f} m.',
         keyframe_index=clearest.keyframe_index,
         corners_px=clearest.corners_px,

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy import ndimage
 
 from shared.geometry import FloatArray, yaw_rotation
+from station.places.rooms.sides import best_runs
+from station.places.rooms.surfaces import SIDES, Seen, find_surfaces
+from station.places.rooms.wall_model import WallModel
 
 COARSE, FINE = np.radians(np.arange(0.0, 90.0, 1.0)), np.radians(np.arange(-1.0, 1.01, 0.1))
 BIN_M = 0.05  # as thick as a wall appears in a cloud
 MOST_POINTS = 20_000
+TURNS = np.radians(np.arange(-4.0, 4.1, 1.0))  # of the axes by landmarks, tried on walls
+NEAR_PLANES = 7  # of which the best counts
 
 
 def wall_yaw(p: FloatArray, metre: float) -> float:
@@ -31,6 +37,31 @@ def plan_axes(R_ground_map: FloatArray, p_map: FloatArray, metre: float) -> Floa
     """R_ground_map (3, 3) turned about z by less than 45 degrees, so that the walls lie along x and y."""
     yaw = wall_yaw((p_map @ R_ground_map.T)[:, :2], metre)
     return yaw_rotation(-(yaw if yaw <= np.pi / 4 else yaw - np.pi / 2)) @ R_ground_map
+
+
+def turn_to_walls(seen: Seen, model: WallModel) -> float:
+    """Rad, a few degrees: the turn of the axes in which the planes show the longest walls.
+
+    Furniture stands askew and bare walls show few landmarks; but no sight passes a wall in its own direction.
+    """
+    length = np.array([_wall_length(seen.turned(turn), model) for turn in TURNS])
+    k = int(length.argmax())
+    if not 0 < k < len(TURNS) - 1:
+        return float(TURNS[k])
+    before, here, after = length[k - 1 : k + 2]  # the vertex of the parabola through them
+    return float(TURNS[k] + 0.5 * (before - after) / min(before - 2 * here + after, -1e-12) * (TURNS[1] - TURNS[0]))
+
+
+def _wall_length(seen: Seen, model: WallModel) -> float:
+    """Sum of squares of what the walls of the best planes weigh: a few long ones count more than many short ones."""
+    surfaces = find_surfaces(seen)
+    if surfaces is None:
+        return 0.0
+    table, total = np.array(model.wall), 0.0
+    for side in SIDES:
+        weight, _, _ = best_runs(table[surfaces.classes[side]])
+        total += float((weight[weight == ndimage.maximum_filter1d(weight, NEAR_PLANES)] ** 2).sum())
+    return total
 
 
 def _concentration(p: FloatArray, yaw: float) -> float:

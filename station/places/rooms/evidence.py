@@ -32,9 +32,8 @@ class Ground:
     unit: float  # map units per metre
     free: Cells  # seen through or driven through, and nothing stands there
     driven: Cells
+    known: Cells  # the body was there, or comes there through nothing narrower than a door that it passed
     occupied: Cells
-    standing: FloatArray  # (n, 2) landmarks high enough to stand in the way, on the ground
-    path: FloatArray  # (n, 2) of the cameras, in their order
     visits: npt.NDArray[np.int64]  # (n, 2) cells of the body's path, in its order
 
     @property
@@ -45,10 +44,6 @@ class Ground:
     def cells_of(self, p: FloatArray) -> npt.NDArray[np.int64]:
         """(n, 2) the cells of ground positions (n, 2), inside the grid or not."""
         return np.floor((p - self.low) / self.cell).astype(np.int64)
-
-    def metres(self, length_m: float) -> float:
-        """A length in metres as cells."""
-        return length_m * self.unit / self.cell
 
 
 def gather_evidence(navigation: Navigation, R_ground_map: FloatArray) -> Ground:
@@ -79,9 +74,8 @@ def gather_evidence(navigation: Navigation, R_ground_map: FloatArray) -> Ground:
         unit=unit,
         free=free,
         driven=space.driven,
+        known=space.known,
         occupied=occupied & ~free,
-        standing=standing[inside],
-        path=centres[np.isfinite(centres).all(axis=1)],
         visits=visits,
     )
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from shared.geometry import FloatArray, inverse_sim3, transform
 from station.model.floor_plan import NO_ROOM, FloorPlan
-from station.places.rooms.basins import Labels
+from station.places.rooms.segments import Labels
 
 NAME_PREFIX = "Room "
 

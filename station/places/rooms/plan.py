@@ -8,18 +8,18 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
-from shared.geometry import FloatArray, rotation_of, transform
+from shared.geometry import FloatArray, rotation_of, transform, yaw_rotation
 from station.model.floor_plan import NO_ROOM, Door, FloorPlan, PlanEdits, Room
 from station.model.navigation import Navigation
 from station.model.place_map import Place
 from station.places.making.scale import ground_rotation
-from station.places.rooms.axes import plan_axes
-from station.places.rooms.basins import Labels
+from station.places.rooms.axes import plan_axes, turn_to_walls
 from station.places.rooms.belonging import rooms_of_places
 from station.places.rooms.evidence import Ground, gather_evidence
 from station.places.rooms.identity import inherited, new_id, new_names
-from station.places.rooms.outlines import outline_rooms
-from station.places.rooms.segments import Gate, part_rooms
+from station.places.rooms.segments import Gate, Labels, Segments, part_rooms
+from station.places.rooms.surfaces import Seen, find_surfaces
+from station.places.rooms.wall_model import WallModel, wall_model
 
 NO_EDITS = PlanEdits()
 
@@ -38,13 +38,26 @@ def make_floor_plan(
         previous: an earlier plan of the same home: its rooms keep their ids and names, and its axes stay.
         T_map_previous: (4, 4) carries the earlier plan's map frame into this one's, maybe with a scale; None: the same.
     """
-    T = np.eye(4) if T_map_previous is None else T_map_previous
-    R = _axes(navigation, previous, T)
+    R = _axes(navigation, previous, T_map_previous)
+    return plan_along(R, navigation, places, wall_model(), edits, previous, T_map_previous)
+
+
+def plan_along(
+    R_ground_map: FloatArray,
+    navigation: Navigation,
+    places: Sequence[Place],
+    model: WallModel,
+    edits: PlanEdits = NO_EDITS,
+    previous: FloorPlan | None = None,
+    T_map_previous: FloatArray | None = None,
+) -> FloorPlan:
+    """`make_floor_plan` where the axes (3, 3) and what walls look like are given."""
+    R, T = R_ground_map, np.eye(4) if T_map_previous is None else T_map_previous
     ground = gather_evidence(navigation, R)
-    drawn, erased = (_carried(lines, R, previous, T) for lines in (edits.doors_drawn, edits.doors_erased))
-    segments = part_rooms(ground, drawn, erased)
-    labels, walls = outline_rooms(ground, segments.labels, segments.count)
-    rooms = _rooms(ground, labels, segments.count, navigation.id, edits, previous, T)
+    drawn, erased = (_carried(lines, R, previous, T_map_previous) for lines in (edits.doors_drawn, edits.doors_erased))
+    segments = part_rooms(ground, find_surfaces(Seen.of(navigation, R)), model, drawn, erased)
+    labels = segments.labels
+    rooms = _rooms(ground, segments, navigation.id, edits, previous, T)
     plan = FloorPlan(
         R_ground_map=R,
         low=ground.low,
@@ -54,23 +67,26 @@ def make_floor_plan(
         room=(labels + NO_ROOM).astype(np.int16),
         rooms=rooms,
         doors=tuple(_door(gate, rooms) for gate in segments.gates),
-        walls=walls,
+        walls=segments.walls,
     )
     return replace(plan, room_of_place=rooms_of_places(plan, navigation, places))
 
 
-def _axes(navigation: Navigation, previous: FloorPlan | None, T: FloatArray) -> FloatArray:
+def _axes(navigation: Navigation, previous: FloorPlan | None, T: FloatArray | None) -> FloatArray:
     """R_ground_map (3, 3): along the walls, and turned as the previous plan is."""
     if previous is not None:
-        return previous.R_ground_map @ rotation_of(T).T
+        return previous.R_ground_map if T is None else previous.R_ground_map @ rotation_of(T).T
     level = ground_rotation(navigation)
     p = navigation.landmarks.p_world
-    return plan_axes(level, p[np.isfinite(p).all(axis=1)], 1.0)
+    R = plan_axes(level, p[np.isfinite(p).all(axis=1)], 1.0)
+    return yaw_rotation(turn_to_walls(Seen.of(navigation, R), wall_model())) @ R
 
 
-def _carried(lines: Sequence[FloatArray], R: FloatArray, previous: FloorPlan | None, T: FloatArray) -> list[FloatArray]:
+def _carried(
+    lines: Sequence[FloatArray], R: FloatArray, previous: FloorPlan | None, T: FloatArray | None
+) -> list[FloatArray]:
     """Lines (2, 2) of the previous plan in this one's axes."""
-    if previous is None:
+    if previous is None or T is None:
         return list(lines)
     before = previous.R_ground_map
     return [(transform(T, np.column_stack([line, np.zeros(2)]) @ before) @ R.T)[:, :2] for line in lines]
@@ -78,13 +94,13 @@ def _carried(lines: Sequence[FloatArray], R: FloatArray, previous: FloorPlan | N
 
 def _rooms(
     ground: Ground,
-    labels: Labels,
-    count: int,
+    segments: Segments,
     navigation_id: str,
     edits: PlanEdits,
     previous: FloorPlan | None,
     T: FloatArray,
 ) -> tuple[Room, ...]:
+    labels, count = segments.labels, segments.count
     before = () if previous is None else previous.rooms
     same = (
         {} if previous is None else inherited(labels, count, ground.low, ground.cell, ground.R_ground_map, previous, T)
@@ -100,7 +116,8 @@ def _rooms(
             room_id, name = new_id(navigation_id, number, taken), next(names)
             taken.append(room_id)
         name = edits.names.get(room_id, name)
-        rooms.append(Room(room_id, name, float(cells.sum()) * ground.cell**2, _middle(ground, cells)))
+        area, certainty = float(cells.sum()) * ground.cell**2, segments.certainty[number - 1]
+        rooms.append(Room(room_id, name, area, _middle(ground, cells), certainty))
     return tuple(rooms)
 
 

@@ -1,32 +1,36 @@
-"""Free space parted into rooms: basins that no door parts are one."""
+"""Free space parted into rooms: rectangles that no wall parts are one, and so are those whose door a person erased."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from scipy import ndimage
 
 from shared.geometry import FloatArray
-from station.places.rooms.basins import Basins, Labels, Passage, find_basins
+from station.places.rooms.borders import Passage, find_borders, rectangles_at, settled, walls_of
 from station.places.rooms.evidence import Ground
-from station.places.rooms.openings import Opening, cut_across, is_door
+from station.places.rooms.rectangles import find_rectangles
+from station.places.rooms.sides import weigh_sides
+from station.places.rooms.surfaces import Surfaces
+from station.places.rooms.wall_model import WallModel
 from station.places.space.space import Cells
 
-NARROWEST_M = 0.3  # half the width of what can be a room, or a corridor
-SLIVER_M = 0.24  # narrower free space is a gap between two sights, or one past the end of a wall
-ROOM_M2 = 2.0  # less free space is no room of its own
+Labels = npt.NDArray[np.int32]  # (X, Y) 0: no room
 LINE_M = 0.15  # a drawn line parts this much free space
+HALF_DOOR_M = 0.4  # of a door that the body passed and nobody saw
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gate:
-    """A door between two parts of the free space."""
+    """A door between two rooms, by their labels."""
 
     a: int
     b: int
-    ends: FloatArray  # (2, 2) on the ground
+    ends: FloatArray  # (2, 2) on the ground, map units
     is_drawn: bool = False
 
 
@@ -35,112 +39,144 @@ class Segments:
     labels: Labels  # (X, Y) 1 to `count`, 0 elsewhere
     count: int
     gates: tuple[Gate, ...]
+    walls: FloatArray  # (W, 2, 2) on the ground, map units
+    certainty: tuple[float, ...]  # of each label from 1 on: that it is one room, and all of it
 
 
-def part_rooms(ground: Ground, drawn: Sequence[FloatArray], erased: Sequence[FloatArray]) -> Segments:
+def part_rooms(
+    ground: Ground,
+    surfaces: Surfaces | None,
+    model: WallModel,
+    drawn: Sequence[FloatArray],
+    erased: Sequence[FloatArray],
+) -> Segments:
     """Rooms that were entered; lines (2, 2) drawn by a person part them, doors erased by a person do not."""
-    free = without_slivers(ground)
-    standing = np.zeros(free.shape, dtype=np.bool_)
-    standing[tuple(ground.cells_of(ground.standing).T)] = True
+    layout = _lay_out(surfaces, model)
+    is_erased = [any(_is_same(p.ends * ground.unit, line) for line in erased) for p in layout.passages]
+    gone = [(p.a, p.b) for p, is_none in zip(layout.passages, is_erased, strict=True) if is_none]
+    room_of = _rooms_of(len(layout.edges), [*layout.joined, *gone])
     lines = [_line_cells(ground, line) for line in drawn]
-    for cells in lines:
-        free[cells] = False
-    basins = find_basins(free, ground.metres(NARROWEST_M))
-    groups = _Groups(basins, ground)
-    open_ends: list[tuple[Passage, Opening]] = []
-    for passage in basins.passages:
-        opening = cut_across(free, standing, passage, ground)
-        is_erased = any(_is_same(ground, opening, line) for line in erased)
-        if is_erased or not is_door(opening, groups.narrower(passage), ground):
-            groups.join(passage.a, passage.b)
-        else:
-            open_ends.append((passage, opening))
-    _join_small(groups, open_ends, ROOM_M2 * ground.metres(1.0) ** 2)
-    labels, number = groups.entered(lines)
-    gates = [
-        _gate(number[groups.of(p.a)], number[groups.of(p.b)], cut_ends(ground, opening))
-        for p, opening in open_ends
-        if groups.of(p.a) != groups.of(p.b)
-    ]
+    parted = _parted(_labels(ground, layout.edges, room_of), lines)
+    number = _in_order_of_entering(ground, parted)
+    labels, count = number[parted], int(number.max(initial=0))
+    gates = [_gate_of(labels, ground, p) for p in layout.passages if room_of[p.a] != room_of[p.b]]
     gates += [gate for line, cells in zip(drawn, lines, strict=True) for gate in _drawn_gate(labels, line, cells)]
-    return Segments(labels, max(number.values(), default=0), tuple(_without_repeats(gates)))
+    found = _without_repeats([gate for gate in gates if gate is not None])
+    certainty = np.ones(count)  # what a person drew is sure
+    for label, lead in _leads(layout, room_of).items():
+        if label < len(number) and number[label]:
+            certainty[number[label] - 1] = 1.0 / (1.0 + np.exp(-lead / model.lead))
+    return Segments(labels, count, tuple(found), layout.walls * ground.unit, tuple(certainty.tolist()))
 
 
-def without_slivers(ground: Ground) -> Cells:
-    """The free cells but for what is too narrow to be more than an error of a few sights."""
-    reach = ground.metres(0.5 * SLIVER_M)
-    a = np.arange(-int(reach), int(reach) + 1)
-    disc = np.hypot(a[:, None], a[None]) <= reach
-    return np.asarray(ndimage.binary_opening(ground.free, disc) | (ground.free & ground.driven), dtype=np.bool_)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Layout:
+    """Rectangles, and what lies between them. Lengths are metres on the ground."""
+
+    edges: FloatArray  # (n, 4) of the rectangles
+    joined: tuple[tuple[int, int], ...]  # pairs that nothing parts
+    passages: tuple[Passage, ...]
+    leads: tuple[tuple[int, float], ...]  # nats: of what was decided about a rectangle before the contrary
+    walls: FloatArray  # (W, 2, 2)
 
 
-def _join_small(groups: _Groups, open_ends: Sequence[tuple[Passage, Opening]], least: float) -> None:
-    """What is too small for a room is a doorway, or a corner: it joins where the least wall parts it from a room."""
-    for passage, _ in sorted(open_ends, key=lambda end: (end[1].wall, -end[1].width)):
-        if min(groups.size(passage.a), groups.size(passage.b)) < least:
-            groups.join(passage.a, passage.b)
+def _lay_out(surfaces: Surfaces | None, model: WallModel) -> _Layout:
+    """The likeliest rectangles; none without evidence."""
+    if surfaces is None:
+        return _Layout(np.zeros((0, 4)), (), (), (), np.zeros((0, 2, 2)))
+    sides = weigh_sides(surfaces, model)
+    packed = find_rectangles(surfaces, sides, model)
+    edges = settled(packed.rectangles, surfaces)
+    borders = find_borders(packed.rectangles, edges, surfaces, sides, model)
+    passages = (*borders.passages, *_passed_unseen(surfaces, edges, borders.passages))
+    leads = (*enumerate(packed.lead), *((k, lead) for pair, lead in borders.lead.items() for k in pair))
+    return _Layout(edges, borders.joined, passages, leads, walls_of(packed.rectangles, edges, surfaces, sides))
 
 
-class _Groups:
-    """Which basins are one room so far."""
-
-    def __init__(self, basins: Basins, ground: Ground) -> None:
-        self._basins, self._ground = basins, ground
-        count = int(basins.labels.max(initial=0)) + 1
-        self._parent = list(range(count))
-        flat = basins.labels.ravel()
-        self._size = np.bincount(flat, minlength=count)
-        self._clearance = np.zeros(count)
-        np.maximum.at(self._clearance, flat, basins.clearance.ravel())
-
-    def of(self, basin: int) -> int:
-        while self._parent[basin] != basin:
-            self._parent[basin] = self._parent[self._parent[basin]]
-            basin = self._parent[basin]
-        return basin
-
-    def join(self, a: int, b: int) -> None:
-        a, b = sorted((self.of(a), self.of(b)))
-        if a != b:
-            self._parent[b] = a
-            self._size[a] += self._size[b]
-            self._clearance[a] = max(self._clearance[a], self._clearance[b])
-
-    def size(self, basin: int) -> int:
-        return int(self._size[self.of(basin)])
-
-    def narrower(self, passage: Passage) -> float:
-        return float(min(self._clearance[self.of(passage.a)], self._clearance[self.of(passage.b)]))
-
-    def entered(self, lines: Sequence[Cells]) -> tuple[Labels, dict[int, int]]:
-        """Labels in the order in which the body first came, and each group's number; 0: nobody was there.
-
-        A part beside a line that a person drew is a room, entered or not; it comes last.
-        """
-        group = np.array([self.of(k) for k in range(len(self._parent))], dtype=np.int32)
-        of_cell = group[self._basins.labels]
-        visits = self._ground.visits
-        visits = visits[np.all((visits >= 0) & (visits < of_cell.shape), axis=1)]
-        met = of_cell[tuple(visits.T)]
-        order = dict.fromkeys(met[met > 0].tolist())
-        for cells in lines:
-            beside = of_cell[_beside(cells)]
-            order |= dict.fromkeys(g for g in np.unique(beside[beside > 0]).tolist() if g not in order)
-        number = dict.fromkeys(set(group.tolist()), 0) | {g: k for k, g in enumerate(order, start=1)}
-        table = np.array([number[g] if k else 0 for k, g in enumerate(group.tolist())], dtype=np.int32)
-        return table[self._basins.labels], number
+def _leads(layout: _Layout, room_of: Sequence[int]) -> dict[int, float]:
+    """Label of each room as `_labels` gives them -> nats: the least lead of all that was decided about it."""
+    if not len(layout.edges):
+        return {1: 0.0}  # one room for want of evidence
+    least: dict[int, float] = {}
+    for k, lead in layout.leads:
+        label = room_of[k] + 1
+        least[label] = min(least.get(label, np.inf), lead)
+    return least
 
 
-def _gate(a: int, b: int, ends: FloatArray) -> Gate:
-    """The part that nobody entered, 0, comes last."""
-    return Gate(min(a, b), max(a, b), ends) if min(a, b) else Gate(max(a, b), 0, ends)
+def _passed_unseen(surfaces: Surfaces, edges: FloatArray, known: Sequence[Passage]) -> list[Passage]:
+    """Where the body went from one rectangle into another and no border shows a gap: it passed all the same."""
+    at = rectangles_at(edges, surfaces.seen.path)
+    inside = np.flatnonzero(at >= 0)
+    pairs = {frozenset((p.a, p.b)) for p in known}
+    found = []
+    for begin, end in itertools.pairwise(inside.tolist()):
+        a, b = int(at[begin]), int(at[end])
+        if a != b and frozenset((a, b)) not in pairs:
+            pairs.add(frozenset((a, b)))
+            middle = surfaces.seen.path[begin : end + 1].mean(axis=0)
+            d = surfaces.seen.path[end] - surfaces.seen.path[begin]
+            across = np.array([0.0, 1.0]) if abs(d[0]) > abs(d[1]) else np.array([1.0, 0.0])
+            found.append(Passage(a, b, middle + HALF_DOOR_M * np.array([[-1.0], [1.0]]) * across))
+    return found
 
 
-def cut_ends(ground: Ground, opening: Opening) -> FloatArray:
-    """(2, 2) the jambs of an opening, on the ground."""
-    across = opening.at + 0.5
-    ends = np.array([[across, opening.begin], [across, opening.end + 1.0]])
-    return ground.low + ground.cell * (ends if opening.axis == 0 else ends[:, ::-1])
+def _rooms_of(count: int, joined: Iterable[tuple[int, int]]) -> list[int]:
+    """The least rectangle of each one's room."""
+    room = list(range(count))
+    for a, b in joined:
+        low, high = sorted((room[a], room[b]))
+        room = [low if of == high else of for of in room]
+    return room
+
+
+def _labels(ground: Ground, edges: FloatArray, room_of: Sequence[int]) -> Labels:
+    """Rectangles, and free space beside them that the map knows: of the nearest. Without a rectangle it is one room."""
+    shape = ground.free.shape
+    index = np.indices(shape).reshape(2, -1).T
+    of = rectangles_at(edges, (ground.low + (index + 0.5) * ground.cell) / ground.unit)
+    table = np.array([*(room + 1 for room in room_of), 0], dtype=np.int32)
+    labels = table[of].reshape(shape)
+    beside = ground.free & ground.known & (labels == 0)
+    if not len(edges):
+        return np.asarray(beside, dtype=np.int32)
+    nearest = ndimage.distance_transform_edt(labels == 0, return_distances=False, return_indices=True)
+    labels[beside] = labels[tuple(nearest[:, beside])]
+    return labels
+
+
+def _parted(labels: Labels, lines: Sequence[Cells]) -> Labels:
+    """Rooms fall apart along drawn lines: parts beside a line are rooms of their own."""
+    out = labels.copy()
+    for cells in lines:
+        beside = _beside(cells)
+        for room in np.unique(out[cells & (out > 0)]):
+            parts, _ = ndimage.label((out == room) & ~cells)
+            met = [int(part) for part in np.unique(parts[beside]) if part]
+            met.sort(key=lambda part: -int((parts == part).sum()))
+            for part in met[1:]:
+                out[parts == part] = out.max() + 1
+    return out
+
+
+def _in_order_of_entering(ground: Ground, labels: Labels) -> Labels:
+    """(labels + 1,) each label's number, in the order in which the body first came; parts never entered come last."""
+    visits = ground.visits[np.all((ground.visits >= 0) & (ground.visits < labels.shape), axis=1)]
+    met = labels[tuple(visits.T)]
+    order = dict.fromkeys([*met[met > 0].tolist(), *np.unique(labels[labels > 0]).tolist()])
+    number = np.zeros(int(labels.max(initial=0)) + 1, dtype=np.int32)
+    number[list(order)] = np.arange(1, len(order) + 1)
+    return number
+
+
+def _gate_of(labels: Labels, ground: Ground, passage: Passage) -> Gate | None:
+    """Between the rooms to both sides of a passage; none where that is one."""
+    ends = passage.ends * ground.unit
+    d = (ends[1] - ends[0])[::-1] * [1.0, -1.0]
+    d *= 0.4 * ground.unit / max(float(np.linalg.norm(d)), 1e-12)
+    sides = ground.cells_of(ends.mean(axis=0) + np.array([d, -d])).clip(0, np.array(labels.shape) - 1)
+    a, b = sorted(int(label) for label in labels[tuple(sides.T)])
+    return Gate(a, b, ends) if a and a != b else None
 
 
 def _line_cells(ground: Ground, line: FloatArray) -> Cells:
@@ -153,9 +189,8 @@ def _line_cells(ground: Ground, line: FloatArray) -> Cells:
     return np.asarray(np.hypot(*np.moveaxis(p - nearest[..., None] * d, -1, 0)) <= 0.5 * LINE_M * ground.unit)
 
 
-def _is_same(ground: Ground, opening: Opening, line: FloatArray) -> bool:
+def _is_same(ends: FloatArray, line: FloatArray) -> bool:
     """Whether this is the door that a person erased: their middles are nearer than half the door's width."""
-    ends = cut_ends(ground, opening)
     apart = np.linalg.norm(ends.mean(axis=0) - line.mean(axis=0))
     return bool(apart <= 0.5 * max(np.linalg.norm(ends[1] - ends[0]), np.linalg.norm(line[1] - line[0])))
 
@@ -167,7 +202,7 @@ def _beside(cells: Cells) -> Cells:
 
 def _drawn_gate(labels: Labels, line: FloatArray, cells: Cells) -> list[Gate]:
     """The drawn line as a door between what lies on both its sides; none where that is one room still."""
-    beside = _beside(cells) & (labels > 0)
+    beside = _beside(cells) & ~cells & (labels > 0)
     met = np.bincount(labels[beside])
     met[:1] = 0
     both = np.argsort(-met, kind="stable")[:2]
@@ -178,17 +213,15 @@ def _drawn_gate(labels: Labels, line: FloatArray, cells: Cells) -> list[Gate]:
 
 
 def _without_repeats(gates: Sequence[Gate]) -> list[Gate]:
-    """Two cuts through one doorway are one door: the narrower. A door between two parts nobody entered is none."""
+    """Two gaps of one doorway are one door: the wider, or what a person drew there."""
     kept: list[Gate] = []
-    for gate in sorted(gates, key=lambda g: (not g.is_drawn, float(np.linalg.norm(g.ends[1] - g.ends[0])))):
-        if gate.a == gate.b:
-            continue
+    for gate in sorted(gates, key=lambda g: (not g.is_drawn, -float(np.linalg.norm(g.ends[1] - g.ends[0])))):
         near = [
             other
             for other in kept
             if {other.a, other.b} == {gate.a, gate.b}
             and np.linalg.norm(other.ends.mean(axis=0) - gate.ends.mean(axis=0))
-            < np.linalg.norm(gate.ends[1] - gate.ends[0])
+            < np.linalg.norm(other.ends[1] - other.ends[0])
         ]
         if not near:
             kept.append(gate)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import zxingcpp
@@ -25,6 +27,14 @@ def test_a_sticker_seen_once_names_its_room_and_shows_where() -> None:
     assert "1.5 m" in found.reason and found.confidence > 0.9
     assert found.corners_px is not None
     np.testing.assert_allclose(found.corners_px.mean(axis=0), [319.5, 239.5], atol=1.0)
+
+
+def test_a_sticker_is_no_surer_of_a_room_than_the_plan_is() -> None:
+    plan = two_rooms()
+    doubtful = replace(plan, rooms=tuple(replace(room, certainty=0.6) for room in plan.rooms))
+    pictures = map_of_pictures([sticker_picture("Kitchen", 1.5)], [looking_along_x(5.4, 1.0)])
+    (sure,), (found,) = suggest_names(pictures, plan), suggest_names(pictures, doubtful)
+    assert found.confidence == pytest.approx(0.6 * sure.confidence)
 
 
 def test_a_sticker_on_the_near_side_of_a_wall_names_this_room() -> None:

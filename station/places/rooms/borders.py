@@ -1,0 +1,129 @@
+"""What lies between two rectangles: a wall with doors parts them into two rooms, nothing makes them one."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.geometry import FloatArray, IntArray
+from station.places.rooms.rectangles import Rectangle
+from station.places.rooms.sides import DOOR_PIECES, Sides, gaps_of, likeliest_walls, score_of
+from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Surfaces
+from station.places.rooms.wall_model import WallModel
+
+THICK_M = 0.35  # a wall at most, and errors of both its faces
+LEAST_DOOR_M = 0.45  # no robot passes a narrower gap
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Passage:
+    """A gap in the wall between two rectangles."""
+
+    a: int
+    b: int
+    ends: FloatArray  # (2, 2) m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Borders:
+    joined: tuple[tuple[int, int], ...]  # rectangles that nothing parts
+    lead: dict[tuple[int, int], float]  # nats: of that before the contrary, for rectangles side by side
+    passages: tuple[Passage, ...]
+
+
+def settled(rectangles: Sequence[Rectangle], surfaces: Surfaces) -> FloatArray:
+    """(n, 4) m, x0, x1, y0, y1: each side where the median of the landmarks on it lies, or else on its plane."""
+    seen = surfaces.seen
+    out = np.empty((len(rectangles), len(SIDES)))
+    for number, r in enumerate(rectangles):
+        for k, (axis, sign) in enumerate(SIDES):
+            at = surfaces.low[axis] + LINE_M * r.plane((axis, sign))
+            begin, end = (surfaces.low[1 - axis] + LINE_M * plane for plane in r.span(1 - axis))
+            across, along = seen.p[:, axis], seen.p[:, 1 - axis]
+            on = (sign * seen.towards[:, axis] > 0) & (np.abs(across - at) < 1.5 * LINE_M)
+            on &= (along > begin) & (along < end)
+            out[number, k] = np.median(across[on]) if on.any() else at
+    return out
+
+
+def find_borders(
+    rectangles: Sequence[Rectangle], edges: FloatArray, surfaces: Surfaces, sides: Sides, model: WallModel
+) -> Borders:
+    """How every two rectangles side by side belong together. `edges`: where they settled."""
+    joined, passages, lead = [], [], {}
+    for (a, first), (b, second), axis in _neighbours(rectangles):
+        low, high = _shorter(first, second, axis)
+        odds = np.zeros((1, high - low))
+        for r, sign in ((first, -1), (second, 1)):
+            own = r.pieces(axis)
+            part = slice(max(own.start, low), min(own.stop, high))
+            odds[0, part.start - low : part.stop - low] += sides.odds[axis, sign][r.plane((axis, sign)), part]
+        is_wall = likeliest_walls(odds, model)
+        odds_of_two = float(score_of(is_wall, odds, model).sum())
+        lead[a, b] = abs(odds_of_two)
+        widest = max((end - begin for begin, end in gaps_of(is_wall[0])), default=0)
+        if odds_of_two <= 0 and widest > DOOR_PIECES[-1]:  # an opening; a door parts rooms
+            joined.append((a, b))
+        across = 0.5 * (edges[a, 2 * axis + 1] + edges[b, 2 * axis])
+        begin, end = _shared(first, second, axis)
+        for gap in gaps_of(is_wall[0]):
+            gap_begin, gap_end = max(low + gap[0], begin), min(low + gap[1], end)
+            if (gap_end - gap_begin) * PIECE_M >= LEAST_DOOR_M:
+                passages.append(Passage(a, b, _line(surfaces, axis, across, gap_begin, gap_end)))
+    return Borders(tuple(joined), lead, tuple(passages))
+
+
+def walls_of(rectangles: Sequence[Rectangle], edges: FloatArray, surfaces: Surfaces, sides: Sides) -> FloatArray:
+    """(W, 2, 2) m, the parts of all sides that are wall. `edges`: where they settled."""
+    segments = [
+        _line(surfaces, side[0], across, pieces.start + begin, pieces.start + end)
+        for r, its_edges in zip(rectangles, edges, strict=True)
+        for side, across in zip(SIDES, its_edges, strict=True)
+        for pieces in [r.pieces(side[0])]
+        for begin, end in gaps_of(~sides.is_wall[side][r.plane(side), pieces])
+    ]
+    return np.array(segments).reshape(-1, 2, 2)
+
+
+def _line(surfaces: Surfaces, axis: int, across: float, begin: int, end: int) -> FloatArray:
+    """(2, 2) m, from one piece to another of a plane across an axis."""
+    along = surfaces.low[1 - axis] + PIECE_M * np.array([begin, end])
+    ends = np.column_stack([np.full(2, across), along])
+    return ends if axis == 0 else ends[:, ::-1]
+
+
+def _neighbours(
+    rectangles: Sequence[Rectangle],
+) -> Iterator[tuple[tuple[int, Rectangle], tuple[int, Rectangle], int]]:
+    """Pairs that stand side by side across an axis, the lower one first."""
+    thick = round(THICK_M / LINE_M)
+    for one, other in itertools.permutations(enumerate(rectangles), 2):
+        for axis in (0, 1):
+            low, high = _shared(one[1], other[1], axis)
+            if abs(other[1].plane((axis, 1)) - one[1].plane((axis, -1))) <= thick and (high - low) * PIECE_M > THICK_M:
+                yield one, other, axis
+
+
+def _shorter(a: Rectangle, b: Rectangle, axis: int) -> tuple[int, int]:
+    """The pieces of the shorter one of their sides at a border across an axis: an arm of an L has none of wall."""
+    mine, its = a.pieces(axis), b.pieces(axis)
+    least = mine if mine.stop - mine.start <= its.stop - its.start else its
+    return least.start, least.stop
+
+
+def _shared(a: Rectangle, b: Rectangle, axis: int) -> tuple[int, int]:
+    """The pieces that both have of a border across an axis."""
+    mine, its = a.pieces(axis), b.pieces(axis)
+    return max(mine.start, its.start), min(mine.stop, its.stop)
+
+
+def rectangles_at(edges: FloatArray, p: FloatArray) -> IntArray:
+    """(n,) number of the rectangle (of `edges`) around each point (n, 2) m, -1 for none."""
+    found = np.full(len(p), -1, dtype=np.int64)
+    for number, (x0, x1, y0, y1) in enumerate(edges):
+        inside = (p[:, 0] > x0) & (p[:, 0] < x1) & (p[:, 1] > y0) & (p[:, 1] < y1)
+        found[inside & (found < 0)] = number
+    return found
