@@ -17,6 +17,7 @@ PREFIX = "ROOM:"  # capitals and a colon take less room in a code than "sentinel
 OTHER_PREFIXES = ("sentinel:room:",)  # also read
 CODE_SIDE_M = 0.17  # of the code without its white rim; what the printed page says as well
 MAX_MODULES = 29  # in a row: longer names would need finer ones
+MAX_BYTES = 42 - len(PREFIX)  # of a name: a code of 29 modules at level M holds 42 (ISO/IEC 18004, table 7)
 MAX_READ = 80  # characters of a name
 
 
@@ -25,7 +26,10 @@ def sticker_modules(name: str) -> npt.NDArray[np.bool_]:
     code = zxingcpp.create_barcode(PREFIX + name, zxingcpp.BarcodeFormat.QRCode, ec_level="M")
     modules = np.array(code.to_image(scale=1, add_quiet_zones=False)) == 0
     if len(modules) > MAX_MODULES:
-        raise ConfigError(f'the name "{name}" is too long to be read from a sticker; shorten it to 30 letters')
+        raise ConfigError(
+            f'the name "{name}" is too long to be read from a sticker, which holds {MAX_BYTES} bytes of it '
+            "(a Latin letter is one, others are up to four); shorten it"
+        )
     return np.asarray(modules)
 
 

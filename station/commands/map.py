@@ -81,9 +81,12 @@ def build(
             check_names_source(old, loaded, names_from)
         bar.step("joining navigations" if len(loaded) > 1 else "clustering landmarks")
         place_map = machines.map(make_map, [MapOfNavigations(tuple(loaded), config, name)])[0]
-    if old is not None:
-        place_map = keep_places(old, place_map)
-    place_map = with_suggestions(planned(place_map, old))
+        if old is not None:
+            place_map = keep_places(old, place_map)
+        bar.step("looking for rooms and doors")
+        place_map = planned(place_map, old)
+        bar.step("looking for stickers that name rooms")
+        place_map = with_suggestions(place_map)
     save_map_folder(place_map, out, {"graph.graphml": to_graphml(place_map)})
     if as_json:
         print(json.dumps(to_json_dict(place_map)))

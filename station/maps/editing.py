@@ -28,5 +28,7 @@ def with_place_renamed(place_map: PlaceMap, place_id: str, name: str) -> PlaceMa
         raise DataError(f'map "{place_map.name}" has no place with id "{place_id}"')
     if any(place.name.casefold() == name.casefold() and place.id != place_id for place in place_map.places):
         raise DataError(f'map "{place_map.name}" has another place named "{name}"; choose a different name')
-    places = tuple(replace(place, name=name) if place.id == place_id else place for place in place_map.places)
+    places = tuple(
+        replace(place, name=name, named=True) if place.id == place_id else place for place in place_map.places
+    )
     return replace(place_map, places=places)

@@ -12,10 +12,11 @@ import msgspec
 import numpy as np
 
 from shared.errors import DataError
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, are_poses, se3
 from shared.text import is_printable, printable
 from station.files.npz import open_arrays
-from station.model.floor_plan import NO_ROOM, OCCUPIED, Door, FloorPlan, NameSuggestion, PlanEdits, Room
+from station.maps.editing import MAX_NAME
+from station.model.floor_plan import MAX_EDITS, NO_ROOM, OCCUPIED, Door, FloorPlan, NameSuggestion, PlanEdits, Room
 from station.model.place_map import PlaceMap
 
 CELLS = "floor_plan.npz"
@@ -74,12 +75,16 @@ def decode_plan(content: Mapping[str, Any]) -> PlanRecord | None:
     numbers = [plan.cell, plan.unit, *(room.area for room in plan.rooms), *(s.confidence for s in plan.suggestions)]
     if not all(map(math.isfinite, numbers)) or min(plan.cell, plan.unit) <= 0:
         raise ValueError("a length of its floor plan is none")
-    if not all(0.0 <= room.certainty <= 1.0 for room in plan.rooms):
-        raise ValueError("a probability of its floor plan is none")
+    _check_ranges(plan)
+    _check_names(plan)
     ids = {room.id for room in plan.rooms}
     named = [*plan.room_of_place.values(), *(id for door in plan.doors for id in door.rooms if id is not None)]
-    if len(ids) < len(plan.rooms) or not ids.issuperset(named):
-        raise ValueError("its floor plan names a room that it does not have, or one twice")
+    if (
+        len(ids) < len(plan.rooms)
+        or len({door.id for door in plan.doors}) < len(plan.doors)
+        or not ids.issuperset(named)
+    ):
+        raise ValueError("its floor plan names a room that it does not have, or a room or a door twice")
     return replace(
         plan,
         rooms=tuple(replace(room, name=printable(room.name)) for room in plan.rooms),
@@ -88,6 +93,32 @@ def decode_plan(content: Mapping[str, Any]) -> PlanRecord | None:
             replace(s, name=printable(s.name), reason=printable(s.reason)) for s in plan.suggestions
         ),
     )  # fmt: skip
+
+
+def _check_ranges(plan: PlanRecord) -> None:
+    """Raises ValueError for numbers that no plan has."""
+    R = plan.R_ground_map
+    if not are_poses(se3(R, np.zeros(3))[None]) or np.linalg.det(R) < 0:
+        raise ValueError("the axes of its floor plan are no rotation")
+    if any(room.area < 0 for room in plan.rooms):
+        raise ValueError("a room of its floor plan has a negative area")
+    if not all(0.0 <= room.certainty <= 1.0 for room in plan.rooms):
+        raise ValueError("a probability of its floor plan is none")
+    for suggestion in plan.suggestions:
+        if not 0 <= suggestion.confidence <= 1 or (suggestion.keyframe_index or 0) < 0:
+            raise ValueError("a suggestion for its rooms has a confidence beside 0 to 1, or a picture that is none")
+    if len(plan.edits.doors_drawn) + len(plan.edits.doors_erased) > MAX_EDITS:
+        raise ValueError(f"its floor plan has more than {MAX_EDITS} doors that people drew or erased")
+
+
+def _check_names(plan: PlanRecord) -> None:
+    """Raises ValueError for names that no room can have."""
+    names = [room.name for room in plan.rooms]
+    given = [*plan.edits.names.values(), *(suggestion.name for suggestion in plan.suggestions)]
+    if not all(0 < len(name) <= MAX_NAME for name in (*names, *given)):
+        raise ValueError(f"a name of a room needs 1 to {MAX_NAME} characters")
+    if len({name.casefold() for name in names}) < len(names):
+        raise ValueError("two of its rooms have one name")
 
 
 def plan_files(place_map: PlaceMap) -> dict[str, bytes]:
@@ -120,6 +151,9 @@ def with_plan(place_map: PlaceMap, plan: PlanRecord | None, cells: bytes) -> Pla
         raise ValueError("its cells do not fit together")
     if state.size and (state.max() > OCCUPIED or room.min() < NO_ROOM or room.max() >= len(plan.rooms)):
         raise ValueError("a cell is of no room that there is")
+    pictures = len(place_map.navigation.keyframes.encoded)
+    if any((suggestion.keyframe_index or 0) >= max(pictures, 1) for suggestion in plan.suggestions):
+        raise ValueError("a suggestion for its rooms is of a picture that there is not")
     of_plan = {name: getattr(plan, name) for name in _OF_PLAN}
     made = FloorPlan(**of_plan, state=state, room=room, walls=walls)
     return replace(place_map, plan=made, plan_edits=plan.edits, suggestions=plan.suggestions)

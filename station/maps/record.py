@@ -28,6 +28,8 @@ from station.model.place_map import Place, PlaceEdge, PlaceMap
 FORMAT = 2  # 1 was a folder per map (station/maps/folder.py)
 MAP_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}")
 UNREADABLE = (ValueError, KeyError, TypeError, OverflowError, msgspec.ValidationError)  # of a document that is none
+# Names that no person gave, in records from before it was noted who gave them: "Place 17", "Kitchen · 2".
+_MADE_UP = re.compile(r"Place \d+|.+ · (\d+|door side)")
 _MEASURED = ("wall_s", "cpu_s", "realtime_factor", "versions", "id")  # differ between runs that gave the same
 
 
@@ -197,6 +199,7 @@ def encode_place(place: Place) -> dict[str, Any]:
         "representative_keyframe": place.representative_keyframe,
         "quality": place.quality,
         **({"hidden": True} if place.hidden else {}),  # absent: as in records from before places could be hidden
+        **({"named": place.named} if place.named == _is_made_up(place.name) else {}),  # absent: as the name reads
     }
 
 
@@ -230,7 +233,13 @@ def _decode_place(values: dict[str, Any]) -> Place:
         representative_keyframe=values["representative_keyframe"],
         quality=values["quality"],
         hidden=values.get("hidden", False),
+        named=values.get("named", not _is_made_up(values["name"])),
     )
+
+
+def _is_made_up(name: str) -> bool:
+    """Whether a name reads as if no person gave it: a person may have given it all the same, which is then noted."""
+    return _MADE_UP.fullmatch(name) is not None
 
 
 def _check_finite(numbers: Iterable[float]) -> None:
@@ -248,6 +257,7 @@ class _PlaceDocument(msgspec.Struct):
     representative_keyframe: int
     quality: float
     hidden: bool = False
+    named: bool = False
 
 
 class _Document(msgspec.Struct):

@@ -12,6 +12,7 @@ from pathlib import Path
 from sqlalchemy.engine import Connection
 
 from shared.errors import DataError
+from station.files.navigation_folder import encode_navigation
 from station.files.unwritable import Unwritable, cannot_write, why_unwritable
 from station.maps import versions
 from station.maps.blobs import Damaged, Notify
@@ -70,6 +71,27 @@ class MapStore:
             fresh = replace(describe_map(place_map, files), why=why)
             if not same_content(record, fresh):
                 changing.append(fresh, record, "edited")
+        return place_map
+
+    def rebuild(
+        self, built: PlaceMap, navigation_id: str, take_over: Callable[[PlaceMap, PlaceMap | None], PlaceMap], why: str
+    ) -> PlaceMap:
+        """Keep a map that was made anew, with what people made of the one before, and return it.
+
+        `take_over` gets it and the newest map of the navigation, which nobody changes meanwhile where it has the same
+        id. Where it was made of the same files that is one more change of it: undo leads on to those before.
+        """
+        contents = self.for_writing()
+        files = contents.put(encode_navigation(built.navigation))  # large: nobody has to wait for it
+        with contents.changing(built.id) as changing:
+            place_map = take_over(built, self.newest_of_navigation(navigation_id))
+            fresh = replace(describe_map(place_map, {**files, **contents.put(plan_files(place_map))}), why=why)
+            newest = contents.newest(changing.rows)
+            if newest is None or newest.kind == "deleted":
+                changing.append(fresh, newest, "saved")
+            elif not same_content(newest, fresh):
+                has_same_files = files.items() <= newest.files.items()
+                changing.append(fresh, newest, "edited" if has_same_files else "saved")
         return place_map
 
     def load(self, map_id: str, number: int | None = None) -> PlaceMap:

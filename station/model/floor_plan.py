@@ -16,6 +16,7 @@ from shared.geometry import FloatArray
 
 UNSEEN, FREE, OCCUPIED = 0, 1, 2
 NO_ROOM = -1
+MAX_EDITS = 500  # doors that were drawn or erased in one map
 
 
 @dataclass(frozen=True, slots=True, eq=False)

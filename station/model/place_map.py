@@ -25,6 +25,7 @@ class Place:
     representative_keyframe: int  # eq. 4.2: the image nearest to the mean image; -1 without images
     quality: float  # 0..1, how clearly its hill stands out, times how many landmarks it has
     hidden: bool = False  # by a person: never answered, not in the graph; its name is kept
+    named: bool = False  # by a person: else its name says no more than its room and a number
 
 
 @dataclass(frozen=True, slots=True)

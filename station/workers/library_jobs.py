@@ -57,15 +57,14 @@ class LibraryJobs(LibraryProgram):
         if len(navigations) > 1:
             self._emit(Progress(0.1, f"registering {_count(len(navigations) - 1, 'navigation')} to the first one"))
         place_map = self._map_of(navigations, config, name, executor)
-        earlier = store.newest_of_navigation(navigations[0].id)
-        if earlier is not None:
-            place_map = keep_places(earlier, place_map)
         self._emit(Progress(0.7, "finding rooms and doors"))
-        place_map = planned(place_map, earlier)
+        first = navigations[0].id
+        draft = _taking_over(place_map, store.newest_of_navigation(first))
         self._emit(Progress(0.75, "looking for stickers that name rooms"))
-        place_map = with_suggestions(place_map)
-        self._emit(Progress(0.8, f"saving {_count(len(place_map.places), 'place')}"))
-        store.save(place_map, f"built from {place_map.navigation.id}"[:200])
+        place_map = replace(place_map, suggestions=with_suggestions(draft).suggestions)
+        self._emit(Progress(0.8, f"saving {_count(len(draft.places), 'place')}"))
+        # That took long: what people did to places and rooms meanwhile is taken over, too.
+        place_map = store.rebuild(place_map, first, _taking_over, f"built from {place_map.navigation.id}"[:200])
         self._built = place_map
         return BuiltMap(place_map.id, place_map.name, len(place_map.places))
 
@@ -179,6 +178,11 @@ class LibraryJobs(LibraryProgram):
         self._emit(Progress(0.95, f"saving {_count(len(navigation.landmarks), 'landmark')}"))
         save_navigation(navigation, folder)
         return navigation.report
+
+
+def _taking_over(built: PlaceMap, earlier: PlaceMap | None) -> PlaceMap:
+    """The map with its plan, and with the places, names and edits of the one before."""
+    return planned(built if earlier is None else keep_places(earlier, built), earlier)
 
 
 def _pdf(kind: TargetKind, size: PaperSize) -> bytes:

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
+from station.commands import map as map_command
+from station.files.navigation_folder import save_navigation
 from station.main import app
 from station.maps.folder import save_map_folder
+from station.model.place_map import PlaceMap
+from tests.support.made_up_workers import made_up_navigation
 from tests.support.places import make_map
 from tests.support.plans import with_two_rooms
 
@@ -46,3 +52,38 @@ def test_a_map_older_than_plans_gets_its_plan_where_it_is_asked_for(flat: Path) 
     save_map_folder(make_map(), flat.parent / "old")
     said = CliRunner().invoke(app, ["map", "rooms", str(flat.parent / "old"), "--json"])
     assert said.exit_code == 0 and "rooms" in json.loads(said.stdout.splitlines()[-1])
+
+
+@pytest.mark.computing
+def test_building_a_map_shows_what_it_does_until_it_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: list[str] = []  # what the bar says; empty where there is none
+    during: list[str] = []
+
+    class Said:
+        def step(self, description: str, total: int | None = None) -> None:
+            shown[:] = [description]
+
+        def advance(self) -> None:
+            pass
+
+    @contextmanager
+    def said(description: str) -> Iterator[Said]:
+        shown[:] = [description]
+        yield Said()
+        shown.clear()
+
+    def look(place_map: PlaceMap) -> PlaceMap:
+        during.extend(shown)
+        return place_map
+
+    def plan(place_map: PlaceMap, earlier: PlaceMap | None = None) -> PlaceMap:
+        during.extend(shown)
+        return place_map
+
+    monkeypatch.setattr(map_command, "working", said)
+    monkeypatch.setattr(map_command, "planned", plan)
+    monkeypatch.setattr(map_command, "with_suggestions", look)
+    save_navigation(made_up_navigation(), tmp_path / "drive")
+    built = CliRunner().invoke(app, ["map", "build", str(tmp_path / "drive"), "--out", str(tmp_path / "map")])
+    assert built.exit_code == 0, built.output
+    assert during == ["looking for rooms and doors", "looking for stickers that name rooms"]

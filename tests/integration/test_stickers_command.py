@@ -35,6 +35,7 @@ def test_what_cannot_be_printed_is_refused_in_a_sentence(tmp_path: Path) -> None
         (("--out", out, "--names", "Bath,bath"), "twice"),
         (("--out", out, "--names", "Bath,,Hall"), "needs 1 to 80 characters"),
         (("--out", out, "--names", "x" * 60), "shorten it"),
+        (("--out", out, "--names", "Bath,厨房"), 'has no "厨房"'),
     ):
         done = stickers(*options)
         assert done.returncode != 0 and words in done.stderr and "Traceback" not in done.stderr

@@ -14,7 +14,6 @@ from station.model.place_answer import RoomCandidate
 from station.model.place_map import Place, PlaceMap
 from station.model.points import NO_PLACE
 from station.places.making.graph import Route
-from station.places.making.names import has_own_name
 from station.robots.session import RobotSession
 from station.robots.visits import Visit
 
@@ -307,7 +306,6 @@ def place_model(active: ActiveMap, place: Place) -> PlaceModel:
         mean_image=f"/places/{place.id}/images/mean" if has_images else None,
         deviation_image=f"/places/{place.id}/images/deviation" if has_images else None,
         colour=active.numbers.get(place.id, NO_PLACE),
-        named=has_own_name(place.name),
         room=None if active.place_map.plan is None else active.place_map.plan.room_of_place.get(place.id),
     )
 

@@ -113,9 +113,11 @@ def named_after(old: PlaceMap, new: PlaceMap, inherited: Mapping[int, Place]) ->
     for j, place in enumerate(new.places):
         source = inherited.get(j)
         new_id = source.id if source else place.id
-        new_name = source.name if source else f"{NAME_PREFIX}{next(numbers)}"
         renamed[place.id] = new_id
-        places.append(replace(place, id=new_id, name=new_name, hidden=source is not None and source.hidden))
+        if source is None:
+            places.append(replace(place, name=f"{NAME_PREFIX}{next(numbers)}"))
+        else:
+            places.append(replace(place, id=source.id, name=source.name, named=source.named, hidden=source.hidden))
     edges = tuple(replace(edge, a=renamed[edge.a], b=renamed[edge.b]) for edge in new.edges)
     named = replace(new, places=tuple(places), edges=edges)
     return regrouped(named, named.places) if any(place.hidden for place in places) else named

@@ -12,11 +12,10 @@ import numpy as np
 
 from shared.errors import DataError
 from shared.geometry import FloatArray
-from station.model.floor_plan import NO_ROOM, Door, FloorPlan, PlanEdits, Room
+from station.model.floor_plan import MAX_EDITS, NO_ROOM, Door, FloorPlan, PlanEdits, Room
 from station.model.place_map import PlaceMap
 from station.places.rooms.planning import planned, with_plan
 
-MAX_EDITS = 500  # doors that were drawn or erased in one map
 MIN_LINE_M = 0.2  # a shorter one is a click that slipped
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from station.model.floor_plan import FloorPlan
 from station.model.place_map import Place
-from station.places.making.names import DOOR_SIDE, NAME_PREFIX, ROOM_SEPARATOR, has_own_name, name_in_room
+from station.places.making.names import DOOR_SIDE, NAME_PREFIX, ROOM_SEPARATOR, name_in_room
 
 DOOR_SIDE_M = 1.2  # from a door's middle to the place's: what one touches while passing
 
@@ -19,18 +19,20 @@ def named_by_rooms(places: Sequence[Place], plan: FloorPlan) -> tuple[Place, ...
 
     A place keeps its number while it stays in its room, whatever the room is called; a place of no room is "Place 5".
     """
-    used = {place.name.casefold() for place in places if has_own_name(place.name)}
+    used = {place.name.casefold() for place in places if place.named}
     renamed = {}
     for room_id, room_name in [*((room.id, room.name) for room in plan.rooms), (None, None)]:
-        unnamed = [p for p in places if not has_own_name(p.name) and plan.room_of_place.get(p.id) == room_id]
-        at_door = None if room_id is None else _at_the_only_door(unnamed, plan, room_id)
+        unnamed = [p for p in places if not p.named and plan.room_of_place.get(p.id) == room_id]
+        by_door = "" if room_name is None else name_in_room(room_name, DOOR_SIDE)
+        is_free = by_door.casefold() not in used
+        at_door = _at_the_only_door(unnamed, plan, room_id) if room_id is not None and is_free else None
         for place, number in _numbered([place for place in unnamed if place.id != at_door]):
             while (name := _called(room_name, number)).casefold() in used:
                 number += 1
             renamed[place.id] = name
             used.add(name.casefold())
-        if at_door is not None and room_name is not None:
-            renamed[at_door] = name_in_room(room_name, DOOR_SIDE)
+        if at_door is not None:
+            renamed[at_door] = by_door
     return tuple(replace(place, name=renamed.get(place.id, place.name)) for place in places)
 
 

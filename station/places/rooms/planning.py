@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import count
 
 from station.model.floor_plan import FloorPlan
 from station.model.place_map import PlaceMap
@@ -22,10 +24,35 @@ def planned(place_map: PlaceMap, earlier: PlaceMap | None = None) -> PlaceMap:
 
 def with_plan(place_map: PlaceMap, plan: FloorPlan) -> PlaceMap:
     """The map with this plan, its places called after their rooms, and without suggestions for rooms that are gone."""
+    plan = _told_apart(plan)
     ids = {room.id for room in plan.rooms}
     suggestions = tuple(suggestion for suggestion in place_map.suggestions if suggestion.room in ids)
     places = named_by_rooms(place_map.places, plan)
     return replace(place_map, places=places, plan=plan, suggestions=suggestions)
+
+
+def _told_apart(plan: FloorPlan) -> FloorPlan:
+    """The plan with no name and no door's id twice, which records must not have. The first keeps what it has.
+
+    A room that comes back may have been given the name that another one has by now; doors are called after where they
+    are, in steps that are too large where a map's unit is.
+    """
+    names = _distinct([room.name for room in plan.rooms], "Room ")
+    ids = _distinct([door.id for door in plan.doors], "door-")
+    rooms = tuple(replace(room, name=name) for room, name in zip(plan.rooms, names, strict=True))
+    doors = tuple(replace(door, id=id) for door, id in zip(plan.doors, ids, strict=True))
+    return replace(plan, rooms=rooms, doors=doors)
+
+
+def _distinct(words: Sequence[str], prefix: str) -> list[str]:
+    """The words, upper and lower case being one; those that are there already become `prefix` and a free number."""
+    free = (word for word in (f"{prefix}{n}" for n in count(1)) if word.casefold() not in {w.casefold() for w in words})
+    seen: set[str] = set()
+    distinct = []
+    for word in words:
+        distinct.append(next(free) if word.casefold() in seen else word)
+        seen.add(word.casefold())
+    return distinct
 
 
 def with_suggestions(place_map: PlaceMap) -> PlaceMap:

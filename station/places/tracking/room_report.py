@@ -39,6 +39,20 @@ class RoomAnswer:
     doorway: str | None = None  # id of the door
 
 
+def _prior(maps: Sequence[MapView]) -> FloatArray:
+    """(R,) how probable each room is for a robot that is lost in the maps: in a large one rather than in a small one.
+
+    Maps share it as they do where places are reported, by the number of their places; one without rooms keeps its part.
+    """
+    places = sum(len(view.centroids) for view in maps)
+    parts = [
+        len(view.centroids) / max(places, 1) * view.rooms.area / max(view.rooms.area.sum(), 1e-9)
+        for view in maps
+        if view.rooms is not None
+    ]
+    return np.concatenate([np.zeros(0), *parts])
+
+
 class RoomReporter:
     """Rooms of beliefs over the active maps."""
 
@@ -46,11 +60,11 @@ class RoomReporter:
         self._views: list[RoomView | None] = [view.rooms for view in maps]
         sizes = [0 if view is None else len(view.area) for view in self._views]
         self._first = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
-        self._area = np.concatenate([np.zeros(0), *(view.area for view in self._views if view is not None)])
+        self._prior = _prior(maps)
         self._config = config
 
     def probabilities(self, belief: Belief, drawn: Sequence[Drawn]) -> RoomProbabilities:
-        """How probable each room is. Lost in the maps, the robot is in a large room rather than in a small one."""
+        """How probable each room is."""
         inside, tie = np.zeros((2, self._first[-1]))
         for h, p_map in drawn:
             view = self._views[h.map_index]
@@ -59,7 +73,7 @@ class RoomReporter:
                 part = slice(self._first[h.map_index], self._first[h.map_index + 1])
                 inside[part] += h.weight * within
                 tie[part] += h.weight * tied
-        lost = belief.lost * self._area / max(self._area.sum(), 1e-9)
+        lost = belief.lost * self._prior
         return RoomProbabilities(inside + lost, tie + lost)
 
     def answer(self, belief: Belief, drawn: Sequence[Drawn]) -> RoomAnswer:
@@ -76,8 +90,9 @@ class RoomReporter:
         doorway = None
         if len(order) > 1 and is_right[1]:
             other_map, other = self._located(int(order[1]))
-            view, (_, p_map) = self._views[map_index], max(drawn, key=lambda pair: pair[0].weight)
-            if other_map == map_index and view is not None:
+            view, here = self._views[map_index], [pair for pair in drawn if pair[0].map_index == map_index]
+            if other_map == map_index and view is not None and here:
+                _, p_map = max(here, key=lambda pair: pair[0].weight)
                 doorway = view.door_between(room, other, p_map.mean(axis=0))
         return RoomAnswer(map_index, candidates[0], candidates[1:], doorway)
 

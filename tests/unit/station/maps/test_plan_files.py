@@ -20,6 +20,7 @@ from station.maps.store import MapStore
 from station.model.floor_plan import FloorPlan, NameSuggestion, PlanEdits
 from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
+from station.places.rooms.planning import with_plan
 from tests.support.places import make_map
 from tests.support.plans import two_rooms, with_two_rooms
 from tests.support.store import content_hash
@@ -143,6 +144,18 @@ def test_cells_that_do_not_fit_are_refused(planned: PlaceMap, store: MapStore, c
         lambda content: content["floor_plan"].update(low=[0.0]),
         lambda content: content["floor_plan"]["edits"].update(doors_drawn=[[[0.0, float("inf")], [1.0, 1.0]]]),
         lambda content: content["floor_plan"]["suggestions"][0].update(source="a guess"),
+        lambda content: content["floor_plan"].update(R_ground_map=[[0.0] * 3] * 3),
+        lambda content: content["floor_plan"].update(R_ground_map=np.diag([1.0, 1.0, -1.0]).tolist()),
+        lambda content: content["rooms"][0].update(area=-1.0),
+        lambda content: content["floor_plan"]["suggestions"][0].update(confidence=50.0),
+        lambda content: content["floor_plan"]["suggestions"][0].update(keyframe_index=-7),
+        lambda content: content["floor_plan"]["doors"][1].update(id=content["floor_plan"]["doors"][0]["id"]),
+        lambda content: content["rooms"][1].update(name="living ROOM"),
+        lambda content: content["rooms"][0].update(name=""),
+        lambda content: content["rooms"][0].update(name="x" * 10**6),
+        lambda content: content["floor_plan"]["edits"].update(names={"room-l": "x" * 81}),
+        lambda content: content["floor_plan"]["suggestions"][0].update(name="x" * 81),
+        lambda content: content["floor_plan"]["edits"].update(doors_drawn=[[[0.0, 0.0], [1.0, 1.0]]] * 100_000),
     ],
 )
 def test_a_record_whose_plan_cannot_be_is_refused(planned: PlaceMap, harm: Callable[[dict[str, Any]], Any]) -> None:
@@ -150,3 +163,21 @@ def test_a_record_whose_plan_cannot_be_is_refused(planned: PlaceMap, harm: Calla
     harm(content)
     with pytest.raises(ValueError):  # noqa: PT011
         decode_plan(content)
+
+
+def test_a_suggestion_of_a_picture_that_there_is_not_is_refused(planned: PlaceMap, store: MapStore) -> None:
+    pictures = len(planned.navigation.keyframes.encoded)
+    store.save(replace(planned, suggestions=(replace(SUGGESTION, keyframe_index=pictures),)))
+    with pytest.raises(DataError, match="is no floor plan"):
+        store.load(planned.id)
+
+
+def test_a_plan_that_was_made_has_no_name_and_no_door_twice(planned: PlaceMap, store: MapStore) -> None:
+    plan = plan_of(planned)
+    rooms = tuple(replace(room, name=name) for room, name in zip(plan.rooms, ("Kitchen", "kitchen"), strict=True))
+    doors = tuple(replace(door, id="door-a") for door in plan.doors)
+    made = with_plan(planned, replace(plan, rooms=rooms, doors=doors))
+    assert [room.name for room in plan_of(made).rooms] == ["Kitchen", "Room 1"]
+    assert [door.id for door in plan_of(made).doors] == ["door-a", "door-1"]
+    store.save(made)
+    assert_same_plan(store.load(made.id), made)

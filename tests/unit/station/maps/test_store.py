@@ -16,7 +16,14 @@ from shared.text import is_printable
 from station.maps import bucket as bucket_module
 from station.maps import store as store_module
 from station.maps.folder import save_map_folder
-from station.maps.record import decode_record, describe_map, encode_record, map_content_hash
+from station.maps.record import (
+    decode_places,
+    decode_record,
+    describe_map,
+    encode_place,
+    encode_record,
+    map_content_hash,
+)
 from station.maps.store import MapStore
 from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
@@ -269,3 +276,22 @@ def test_a_newer_database_is_refused(place_map: PlaceMap, tmp_path: Path) -> Non
     connection.close()
     with pytest.raises(DataError, match="newer station"):
         MapStore(tmp_path).list()
+
+
+@pytest.mark.parametrize("name", ["Shelf · 2", "Shelf · door side", "Place 99", "Sofa"])
+def test_who_named_a_place_is_kept_with_it(place_map: PlaceMap, address: StoreAddress, name: str) -> None:
+    store = MapStore(address)
+    store.save(place_map)
+    rename_place(store, place_map.id, place_map.places[0].id, name)
+    kept = store.load(place_map.id)
+    assert kept.places[0].name == name
+    assert [place.named for place in kept.places] == [True, *(False for _ in place_map.places[1:])]
+
+
+def test_a_record_from_before_that_was_kept_is_read_by_its_names_and_written_as_it_was(place_map: PlaceMap) -> None:
+    place = place_map.places[0]
+    for name, named in (("Shelf · 2", False), ("Shelf · door side", False), ("Place 7", False), ("Sofa", True)):
+        old = encode_place(replace(place, name=name, named=named))
+        assert "named" not in old
+        [read] = decode_places([old])
+        assert (read.name, read.named) == (name, named) and encode_place(read) == old

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from station.model.floor_plan import FloorPlan
 from station.model.place_map import Place
-from station.places.making.names import has_own_name
 from station.places.rooms.place_names import named_by_rooms
 from tests.support.plans import two_rooms
 
@@ -16,6 +16,10 @@ from tests.support.plans import two_rooms
 def place(number: int, x: float, name: str = "") -> Place:
     index = np.zeros(0, np.int64)
     return Place(f"p{number}", name or f"Place {number}", np.array([x, 1.0, 0.3]), 0.3, index, index, -1, 1.0)
+
+
+def named_place(number: int, x: float, name: str) -> Place:
+    return replace(place(number, x, name), named=True)
 
 
 def plan_of(rooms: dict[str, str]) -> FloorPlan:
@@ -30,7 +34,7 @@ def test_places_are_numbered_within_their_rooms() -> None:
     plan = plan_of({"p7": "room-k", "p8": "room-k", "p9": "room-l"})
     made = named_by_rooms([place(7, 5.0), place(8, 6.0), place(9, 0.0), place(12, 9.0)], plan)
     assert names(made) == ["Room 2 · 1", "Room 2 · 2", "Living room · 1", "Place 1"]
-    assert not any(has_own_name(name) for name in names(made))
+    assert not any(place.named for place in made)
 
 
 def test_a_renamed_room_renames_its_places_and_each_keeps_its_number() -> None:
@@ -42,7 +46,7 @@ def test_a_renamed_room_renames_its_places_and_each_keeps_its_number() -> None:
 
 def test_a_name_that_a_person_gave_stays_and_is_not_given_again() -> None:
     plan = plan_of({"p1": "room-k", "p2": "room-k"})
-    assert names(named_by_rooms([place(1, 5.0, "Sofa"), place(2, 6.0)], plan)) == ["Sofa", "Room 2 · 1"]
+    assert names(named_by_rooms([named_place(1, 5.0, "Sofa"), place(2, 6.0)], plan)) == ["Sofa", "Room 2 · 1"]
 
 
 def test_naming_twice_changes_nothing() -> None:
@@ -54,3 +58,16 @@ def test_naming_twice_changes_nothing() -> None:
 def test_the_place_beside_the_only_door_is_called_by_it() -> None:
     plan = plan_of({"p1": "room-l", "p2": "room-l"})
     assert names(named_by_rooms([place(1, 0.0), place(2, 2.6)], plan)) == ["Living room · 1", "Living room · door side"]
+
+
+@pytest.mark.parametrize("name", ["Shelf · 2", "Shelf · door side", "Place 7"])
+def test_a_name_that_a_person_gave_stays_also_where_it_reads_as_a_made_up_one(name: str) -> None:
+    plan = plan_of({"p1": "room-k", "p2": "room-k"})
+    assert names(named_by_rooms([named_place(1, 5.0, name), place(2, 6.0)], plan)) == [name, "Room 2 · 1"]
+
+
+def test_no_place_gets_the_name_that_a_person_gave_to_another() -> None:
+    plan = plan_of({"p1": "room-l", "p2": "room-l", "p3": "room-l"})
+    given = [named_place(1, 0.0, "Living room · door side"), named_place(3, 0.0, "living room · 1"), place(2, 2.6)]
+    made = names(named_by_rooms(given, plan))
+    assert made[:2] == ["Living room · door side", "living room · 1"] and made[2] == "Living room · 2"

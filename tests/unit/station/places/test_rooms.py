@@ -8,9 +8,17 @@ import numpy as np
 import pytest
 
 from station.model.place_map import PlaceMap
+from station.places.tracking.belief import Belief, Hypothesis
+from station.places.tracking.config import BeliefConfig
+from station.places.tracking.map_view import MapView
+from station.places.tracking.room_report import RoomReporter
 from station.places.tracking.room_view import RoomView
 from tests.support.places import SECOND, estimator_of, make_map, pose, seen
 from tests.support.plans import two_rooms, with_two_rooms
+
+
+def hypothesis(map_index: int, weight: float, y: float) -> Hypothesis:
+    return Hypothesis(map_index, pose(3.0, y), 1.0, 0.1, 0.1, weight, 0, 0, 0)
 
 
 def flat() -> PlaceMap:
@@ -113,3 +121,25 @@ def test_a_doorway_reaches_half_a_metre_into_both_rooms_and_not_round_the_corner
     for x, y, rooms in ((2.6, 0.0, 2), (3.4, 0.0, 2), (2.3, 0.0, 1), (2.8, 1.3, 1)):
         _, tied = view.shares(np.array([[x, y, 0.0]]))
         assert tied.sum() == rooms, (x, y)
+
+
+def test_a_map_without_a_plan_keeps_its_part_of_what_is_lost() -> None:
+    maps = [flat(), make_map("cellar")]
+    views = [MapView.of(place_map) for place_map in maps]
+    found = RoomReporter(views, BeliefConfig()).probabilities(Belief((), lost=0.8, unmapped=0.2), [])
+    places = [len(place_map.places) for place_map in maps]
+    assert found.inside.sum() == pytest.approx(0.8 * places[0] / sum(places))
+    np.testing.assert_allclose(found.inside, found.inside[0])  # two rooms of the same size
+
+
+def test_a_doorway_is_looked_for_where_the_room_is_and_not_in_another_map() -> None:
+    """Two doors lead from one room to the other; what the belief's heaviest part means is a position elsewhere."""
+    plan = two_rooms()
+    second = replace(plan.doors[0], id="door-far", ends=np.array([[3.0, 1.0], [3.0, 1.4]]))
+    maps = [replace(flat(), plan=replace(plan, doors=(plan.doors[0], second))), make_map("cellar")]
+    views = [MapView.of(place_map) for place_map in maps]
+    parts = [(0, 0.124, 1.2)] * 7 + [(1, 0.132, 0.0)]
+    drawn = [(hypothesis(index, weight, y), np.array([[2.8, y, 0.0], [3.2, y, 0.0]])) for index, weight, y in parts]
+    belief = Belief(tuple(h for h, _ in drawn), lost=0.0, unmapped=0.0)
+    answer = RoomReporter(views, BeliefConfig()).answer(belief, drawn)
+    assert answer.room is not None and answer.doorway == "door-far"

@@ -1,0 +1,70 @@
+"""A map built again keeps what people did to its rooms, also while it was built, and all of that can be undone."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from station.files.navigation_folder import save_navigation
+from station.library.place_changes import changes_of
+from station.maps.editing import with_place_renamed
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
+from station.model.place_map import PlaceMap
+from station.places.making.changes import with_places_merged
+from station.places.rooms.edits import require_plan, with_room_renamed
+from station.workers import library_jobs
+from station.workers.library_jobs import LibraryJobs
+from tests.support.made_up_workers import made_up_navigation
+
+
+def build(folder: Path) -> str:
+    made = LibraryJobs(lambda _: None).build_map([folder / "drive"], StoreAddress(folder / "maps"), "Home", None)
+    return made.map_id
+
+
+def room_names(place_map: PlaceMap) -> list[str]:
+    return [room.name for room in require_plan(place_map).rooms]
+
+
+def said_changes(store: MapStore, map_id: str) -> list[str]:
+    return [change.why for change in changes_of(store.history(map_id))]
+
+
+@pytest.mark.computing
+def test_what_people_do_while_a_map_is_built_again_stays_and_can_be_undone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save_navigation(made_up_navigation(), tmp_path / "drive")
+    map_id = build(tmp_path)
+    store = MapStore(tmp_path / "maps")
+    first = store.load(map_id)
+    room, place = require_plan(first).rooms[0].id, first.places[0].id
+    store.edit(map_id, partial(with_place_renamed, place_id=place, name="Sofa"), "the sofa is named")
+
+    def look_while_a_person_names_the_room(place_map: PlaceMap) -> PlaceMap:
+        store.edit(map_id, partial(with_room_renamed, room_id=room, name="Kitchen"), "the kitchen is named")
+        return place_map
+
+    monkeypatch.setattr(library_jobs, "with_suggestions", look_while_a_person_names_the_room)
+    assert build(tmp_path) == map_id
+    built = store.load(map_id)
+    assert room_names(built)[0] == "Kitchen" and built.plan_edits.names == {room: "Kitchen"}
+    assert built.places[0].name == "Sofa" and "Kitchen · 2" in [place.name for place in built.places]
+    assert said_changes(store, map_id) == ["the kitchen is named", "the sofa is named"]
+
+
+@pytest.mark.computing
+def test_building_again_is_one_more_change_where_it_makes_other_places(tmp_path: Path) -> None:
+    save_navigation(made_up_navigation(), tmp_path / "drive")
+    map_id = build(tmp_path)
+    store = MapStore(tmp_path / "maps")
+    two = [place.id for place in store.load(map_id).places[:2]]
+    merged = store.edit(map_id, partial(with_places_merged, place_ids=two), "two places are one")
+    build(tmp_path)
+    assert len(store.load(map_id).places) == len(merged.places) + 1
+    assert len(said_changes(store, map_id)) == 2
+    store.undo(map_id)
+    assert len(store.load(map_id).places) == len(merged.places)
