@@ -35,6 +35,7 @@ from station.vision.features import Features
 from station.vision.klt import TrackedFrame
 
 NOTHING = np.zeros(0, dtype=np.int64)
+HEAD_TURNED = "the camera's head turned, which smoothing does not follow yet: the filter's result"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +51,7 @@ class FrameBetween:
 class SmoothingBackend:
     def __init__(self, calibration: Calibration, config: SmoothingConfig | None = None, seed: int = 0) -> None:
         config = config or SmoothingConfig()
-        self._odometry = UkfBackend(calibration, replace(config.odometry, refine=False), seed)
+        self._odometry = UkfBackend(calibration, config.odometry, seed)
         assert calibration.camera is not None and calibration.imu is not None
         self._config = config.for_robot(calibration.has_wheels)
         self._calibration = calibration
@@ -64,6 +65,7 @@ class SmoothingBackend:
         self._tables: dict[int, LandmarkTable] = {}
         self._between: list[FrameBetween] = []
         self.num_recalled = 0
+        self._head_turned = False
         self._messages: list[str] = []
 
     # ---- data in
@@ -78,6 +80,10 @@ class SmoothingBackend:
         """Follow the frame by the filter; make it a keyframe where it is one; carry the newest keyframe on to it."""
         update = self._odometry.add_frame(frame)
         state, current = self._odometry.state, self._odometry.newest
+        if current is not None and current.head is not None and not self._head_turned:
+            self._leave_to_filter()
+        if self._head_turned:
+            return update
         if state is None or current is None:
             if state is None:
                 self._window = None
@@ -93,6 +99,13 @@ class SmoothingBackend:
         newest = self._window.keyframes[-1]
         self._between.append(FrameBetween(frame.index, current.t_imu_ns, newest.number, T_newest_now))
         return replace(update, T_world_body=newest.T_world_body @ T_newest_now)
+
+    def _leave_to_filter(self) -> None:
+        """Keyframes are poses of the body to which the camera is fixed; on a turned head only the filter knows it."""
+        self._head_turned = True
+        self._messages.append(HEAD_TURNED)
+        self._window = None
+        self._keyframes, self._tables, self._between = [], {}, []
 
     def _since_keyframe(self, state: FilterState) -> FloatArray:
         """T_keyframe_now by the filter, both poses as it has them now; while the keyframe is still in its window."""
@@ -235,7 +248,7 @@ class SmoothingBackend:
 
     def finish(self) -> Navigation:
         """End the navigation. Raises EstimationError, with the reason, when nothing could be reconstructed."""
-        nav = self._odometry.finish_improved(self._improve)
+        nav = self._odometry.finish() if self._head_turned else self._odometry.finish_improved(self._improve)
         report = replace(nav.report, backend="smoothing", messages=(*nav.report.messages, *self._messages))
         return replace(nav, id=nav.id.replace("ukf", "smoothing", 1), report=report)
 

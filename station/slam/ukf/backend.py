@@ -302,12 +302,14 @@ class UkfBackend:
         return self.finish_improved(None)
 
     def finish_improved(self, improve: Callable[[NavigationMemory], None] | None) -> Navigation:
-        """The same, with what somebody else knows of the keyframes by now; see `finish`."""
+        """The same; `improve` gives what somebody else knows of the keyframes by now, instead of refining them."""
         with self._blas.limit(limits=1):
             return self._finish(improve)
 
     def _finish(self, improve: Callable[[NavigationMemory], None] | None) -> Navigation:
         memory, intake, config = self._memory, self._intake, self._config
+        if improve is not None:
+            config = replace(config, refine=False)
         if self._filter is not None:
             memory.flush(self._filter, self._monitor.outage_since)
         if self._lost_since is not None:

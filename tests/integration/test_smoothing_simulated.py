@@ -1,0 +1,33 @@
+"""The smoothing backend on short simulated drives: a head that turns, images that fail."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from station.model.navigation import Navigation
+from station.model.slam_update import SlamUpdate
+from station.slam.backends import make_backend
+from station.slam.run import run_backend
+from tests.support.drives.short import CALIBRATION, ShortDrive, drive
+
+pytestmark = pytest.mark.computing
+
+
+def run(name: str, wanted: ShortDrive) -> tuple[Navigation, list[SlamUpdate]]:
+    updates: list[SlamUpdate] = []
+    return run_backend(make_backend(name, CALIBRATION), drive(wanted), updates.append), updates
+
+
+def test_of_a_head_that_turned_the_result_is_the_filters_and_the_report_says_so() -> None:
+    wanted = ShortDrive(end_s=3.6, head_s=1.2)
+    nav, updates = run("smoothing", wanted)
+    of_filter, live = run("ukf", wanted)
+    assert np.array_equal(nav.trajectory.T_world_body, of_filter.trajectory.T_world_body)
+    assert np.array_equal(nav.landmarks.p_world, of_filter.landmarks.p_world)
+    for mine, theirs in zip(updates, live, strict=True):
+        if theirs.T_world_body is not None and theirs.t_robot_ns > 2.4e9:
+            assert mine.T_world_body is not None
+            assert np.array_equal(mine.T_world_body, theirs.T_world_body)
+    assert any("head turned" in message for message in nav.report.messages)
+    assert nav.report.backend == "smoothing"
