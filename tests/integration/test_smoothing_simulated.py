@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from shared.calibration import ImuNoise
+from shared.geometry import FloatArray
 from station.model.navigation import Navigation
 from station.model.slam_update import SlamUpdate
+from station.motion.preintegration import ImuSegment, Preintegration, preintegrate
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
 from tests.support.drives.short import CALIBRATION, ShortDrive, drive
@@ -31,3 +34,20 @@ def test_of_a_head_that_turned_the_result_is_the_filters_and_the_report_says_so(
             assert np.array_equal(mine.T_world_body, theirs.T_world_body)
     assert any("head turned" in message for message in nav.report.messages)
     assert nav.report.backend == "smoothing"
+
+
+def test_over_a_gap_between_images_every_imu_sample_is_integrated(monkeypatch: pytest.MonkeyPatch) -> None:
+    longest_s: list[float] = []
+    duration_s: list[float] = []
+
+    def watched(segment: ImuSegment, bias: FloatArray, noise: ImuNoise) -> Preintegration:
+        longest_s.append(float(segment.dt_s.max()))
+        duration_s.append(float(segment.dt_s.sum()))
+        return preintegrate(segment, bias, noise)
+
+    monkeypatch.setattr("station.slam.smoothing.backend.preintegrate", watched)
+    nav, updates = run("smoothing", ShortDrive(end_s=8.0, stop_s=2.0, no_images_s=(3.0, 7.5)))
+    assert not any("lost" in message for message in nav.report.messages)
+    assert updates[-1].state == "tracking"
+    assert max(duration_s) > 4.0  # the link over the gap
+    assert max(longest_s) < 0.01

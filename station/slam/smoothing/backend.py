@@ -86,7 +86,7 @@ class SmoothingBackend:
             return update
         if state is None or current is None:
             if state is None:
-                self._window = None
+                self._end_window()
             return update
         self._frames_since += 1
         self._all_still = self._all_still and current.is_still
@@ -100,11 +100,15 @@ class SmoothingBackend:
         self._between.append(FrameBetween(frame.index, current.t_imu_ns, newest.number, T_newest_now))
         return replace(update, T_world_body=newest.T_world_body @ T_newest_now)
 
+    def _end_window(self) -> None:
+        self._window = None
+        self._odometry.imu_needed_since_ns = None
+
     def _leave_to_filter(self) -> None:
         """Keyframes are poses of the body to which the camera is fixed; on a turned head only the filter knows it."""
         self._head_turned = True
         self._messages.append(HEAD_TURNED)
-        self._window = None
+        self._end_window()
         self._keyframes, self._tables, self._between = [], {}, []
 
     def _since_keyframe(self, state: FilterState) -> FloatArray:
@@ -233,6 +237,7 @@ class SmoothingBackend:
         assert self._window is not None
         self._window.add(keyframe, image)
         self._keyframes.append(keyframe)
+        self._odometry.imu_needed_since_ns = keyframe.source.t_imu_ns  # the next one is linked to this one
         self._frames_since, self._all_still = 0, True
 
     # ---- the rest of the interface

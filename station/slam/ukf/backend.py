@@ -94,6 +94,7 @@ class UkfBackend:
         self._lost_since: int | None = None
         self._lost_ns = 0
         self._last_message = "no image came"
+        self.imu_needed_since_ns: int | None = None  # by a backend that builds on this one; None: by none
         self.newest: RecentFrame | None = None  # what was followed into the newest frame; None: it was left out
 
     def add_imu(self, imu: ImuBatch) -> None:
@@ -144,7 +145,8 @@ class UkfBackend:
             update = self._wait_for_start(current, is_still)
         else:
             update = self._track(self._filter, current, segment, is_still)
-        self._imu.forget_before(t_imu - int((self._config.start.max_window_s + 0.5) * 1e9))
+        oldest = t_imu - int((self._config.start.max_window_s + 0.5) * 1e9)
+        self._imu.forget_before(min(oldest, oldest if self.imu_needed_since_ns is None else self.imu_needed_since_ns))
         return update
 
     # ---- tracking
