@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gtsam
 import numpy as np
 import pytest
 
@@ -12,6 +13,8 @@ from station.model.slam_update import SlamUpdate
 from station.motion.preintegration import ImuSegment, Preintegration, preintegrate
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
+from station.slam.smoothing.config import SmoothingConfig
+from station.slam.smoothing.fixed_lag import FixedLagWindow
 from tests.support.drives.short import CALIBRATION, ShortDrive, drive
 
 pytestmark = pytest.mark.computing
@@ -51,3 +54,33 @@ def test_over_a_gap_between_images_every_imu_sample_is_integrated(monkeypatch: p
     assert updates[-1].state == "tracking"
     assert max(duration_s) > 4.0  # the link over the gap
     assert max(longest_s) < 0.01
+    assert nav.report.config["smoothing"]["lag_s"] == SmoothingConfig().lag_s
+    assert nav.report.config["mapped_from"] == "tracks" and "filter" in nav.report.config
+    assert nav.report.versions["gtsam"]
+
+
+def test_a_window_that_cannot_be_solved_begins_anew_and_the_report_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    make, made = FixedLagWindow._new_smoother, 0
+
+    class FailsOnce:
+        def __init__(self, smoother: gtsam.IncrementalFixedLagSmoother) -> None:
+            self._smoother, self._updates = smoother, 0
+
+        def __getattr__(self, name: str) -> object:
+            return getattr(self._smoother, name)
+
+        def update(self, *change: object) -> None:
+            self._updates += 1
+            if self._updates == 5:
+                raise RuntimeError("indeterminate")
+            self._smoother.update(*change)
+
+    def new_smoother(window: FixedLagWindow) -> object:
+        nonlocal made
+        made += 1
+        return FailsOnce(make(window)) if made == 1 else make(window)
+
+    monkeypatch.setattr(FixedLagWindow, "_new_smoother", new_smoother)
+    nav, updates = run("smoothing", ShortDrive(end_s=4.0))
+    assert updates[-1].state == "tracking"
+    assert any(message.startswith("1 windows of keyframes begun anew") for message in nav.report.messages)

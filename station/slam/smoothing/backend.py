@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from importlib.metadata import version
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from station.model.frames import DriveSample, ImageArray, ImageFrame, ImuBatch
 from station.model.navigation import Navigation
 from station.model.slam_update import SlamUpdate
 from station.motion.preintegration import preintegrate
+from station.slam.mapping.report import plain_settings
 from station.slam.smoothing.batch import BatchInput, as_keyframe, smooth_segment
 from station.slam.smoothing.config import SmoothingConfig
 from station.slam.smoothing.fixed_lag import FixedLagWindow
@@ -66,6 +68,7 @@ class SmoothingBackend:
         self._between: list[FrameBetween] = []
         self.num_recalled = 0
         self._head_turned = False
+        self._restarts = 0  # of the window, where its equations had no single solution
         self._messages: list[str] = []
 
     # ---- data in
@@ -235,7 +238,7 @@ class SmoothingBackend:
 
     def _append(self, keyframe: SmoothKeyframe, image: ImageArray) -> None:
         assert self._window is not None
-        self._window.add(keyframe, image)
+        self._restarts += not self._window.add(keyframe, image)
         self._keyframes.append(keyframe)
         self._odometry.imu_needed_since_ns = keyframe.source.t_imu_ns  # the next one is linked to this one
         self._frames_since, self._all_still = 0, True
@@ -254,7 +257,16 @@ class SmoothingBackend:
     def finish(self) -> Navigation:
         """End the navigation. Raises EstimationError, with the reason, when nothing could be reconstructed."""
         nav = self._odometry.finish() if self._head_turned else self._odometry.finish_improved(self._improve)
-        report = replace(nav.report, backend="smoothing", messages=(*nav.report.messages, *self._messages))
+        settings = plain_settings(self._config)
+        del settings["odometry"]  # the rest of the report's settings
+        restarts = f"{self._restarts} windows of keyframes begun anew, since the equations had no single solution"
+        report = replace(
+            nav.report,
+            backend="smoothing",
+            versions=nav.report.versions | {"gtsam": version("gtsam")},
+            config=nav.report.config | {"smoothing": settings},
+            messages=(*nav.report.messages, *self._messages, *((restarts,) if self._restarts else ())),
+        )
         return replace(nav, id=nav.id.replace("ukf", "smoothing", 1), report=report)
 
     def _improve(self, memory: NavigationMemory) -> None:
