@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
 
 from shared.calibration import ImuNoise
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, inverse
+from station.model.frames import ImageFrame
 from station.model.navigation import Navigation
 from station.model.slam_update import SlamUpdate
 from station.motion.preintegration import ImuSegment, Preintegration, preintegrate
@@ -15,6 +18,7 @@ from station.slam.backends import make_backend
 from station.slam.run import run_backend
 from station.slam.smoothing.config import SmoothingConfig
 from station.slam.smoothing.fixed_lag import FixedLagWindow
+from station.slam.ukf.backend import UkfBackend
 from tests.support.drives.short import CALIBRATION, ShortDrive, drive
 
 pytestmark = pytest.mark.computing
@@ -84,3 +88,32 @@ def test_a_window_that_cannot_be_solved_begins_anew_and_the_report_says_so(monke
     nav, updates = run("smoothing", ShortDrive(end_s=4.0))
     assert updates[-1].state == "tracking"
     assert any(message.startswith("1 windows of keyframes begun anew") for message in nav.report.messages)
+
+
+def test_a_spoilt_image_and_new_points_keep_to_the_smoothed_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    of_filter: list[SlamUpdate] = []
+    add_frame = UkfBackend.add_frame
+
+    def watched(backend: UkfBackend, frame: ImageFrame) -> SlamUpdate:
+        points = np.array([[1.0, 2.0, 0.5], [-3.0, 1.0, 1.0]])  # so short a drive gives no new ones by itself
+        of_filter.append(replace(add_frame(backend, frame), new_points_world=points))
+        return of_filter[-1]
+
+    monkeypatch.setattr(UkfBackend, "add_frame", watched)
+    _, updates = run("smoothing", ShortDrive(end_s=4.5, spoilt_image=45))
+    before, spoilt = updates[44].T_world_body, updates[45].T_world_body
+    filters = of_filter[45].T_world_body
+    assert before is not None and spoilt is not None and filters is not None
+    assert np.array_equal(before, spoilt)
+    assert np.abs(spoilt - filters).max() > 1e-4  # else nothing is told apart
+    moved_m = []
+    for mine, theirs in zip(updates, of_filter, strict=True):
+        if theirs.T_world_body is None:
+            continue
+        assert mine.T_world_body is not None
+        assert mine.new_points_world is not None and theirs.new_points_world is not None
+        T = mine.T_world_body @ inverse(theirs.T_world_body)
+        expected = theirs.new_points_world @ T[:3, :3].T + T[:3, 3]
+        assert np.allclose(mine.new_points_world, expected, atol=1e-9)
+        moved_m.append(float(np.abs(expected - theirs.new_points_world).max()))
+    assert max(moved_m) > 1e-4

@@ -87,21 +87,29 @@ class SmoothingBackend:
             self._leave_to_filter()
         if self._head_turned:
             return update
-        if state is None or current is None:
-            if state is None:
-                self._end_window()
+        if state is None:
+            self._end_window()
             return update
+        if current is not None:
+            self._follow(state, current)
+        assert self._window is not None
+        T_newest_now = self._since_keyframe(state)
+        newest = self._window.keyframes[-1]
+        if current is not None:
+            self._between.append(FrameBetween(frame.index, current.t_imu_ns, newest.number, T_newest_now))
+        points = update.new_points_world
+        if points is not None:
+            T = newest.T_world_body @ inverse(self._T_filter)  # of the filter's world
+            points = points @ T[:3, :3].T + T[:3, 3]
+        return replace(update, T_world_body=newest.T_world_body @ T_newest_now, new_points_world=points)
+
+    def _follow(self, state: FilterState, current: RecentFrame) -> None:
         self._frames_since += 1
         self._all_still = self._all_still and current.is_still
         if self._window is None:
             self._begin(state, current)
         elif self._is_keyframe(current):
             self._add_keyframe(state, current)
-        assert self._window is not None
-        T_newest_now = self._since_keyframe(state)
-        newest = self._window.keyframes[-1]
-        self._between.append(FrameBetween(frame.index, current.t_imu_ns, newest.number, T_newest_now))
-        return replace(update, T_world_body=newest.T_world_body @ T_newest_now)
 
     def _end_window(self) -> None:
         self._window = None
