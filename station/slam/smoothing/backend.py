@@ -1,6 +1,6 @@
-"""The smoothing backend: the filter as odometry, keyframes and landmarks smoothed behind it (docs/slam.md, sec. 11).
+"""The smoothing backend: the filter as odometry, keyframes and landmarks smoothed behind it.
 
-`add_frame` is the reading path. Pure: no clock; the same data give the same result, bit for bit.
+See docs/slam.md, "Smoothing". `add_frame` is the reading path. Pure: no clock; the same data give the same result, bit for bit.
 """
 
 from __future__ import annotations
@@ -66,7 +66,6 @@ class SmoothingBackend:
         self._all_still = True
         self._tables: dict[int, LandmarkTable] = {}
         self._between: list[FrameBetween] = []
-        self.num_recalled = 0
         self._head_turned = False
         self._restarts = 0  # of the window, where its equations had no single solution
         self._messages: list[str] = []
@@ -205,7 +204,6 @@ class SmoothingBackend:
                 uv_px=np.concatenate([tracked.uv_px, found.uv_px]),
                 xy=np.concatenate([tracked.xy, xy]),
             )
-        self.num_recalled += len(found.landmarks) + len(found.same)
         return tracked, found.trusted
 
     def _make(

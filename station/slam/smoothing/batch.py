@@ -1,4 +1,4 @@
-"""When the drive has ended: all keyframes and landmarks of a segment in one problem (docs/slam.md, sec. 11)."""
+"""When the drive has ended: all keyframes and landmarks of a segment in one problem (docs/slam.md, "Smoothing")."""
 
 from __future__ import annotations
 
