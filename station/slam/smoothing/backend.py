@@ -1,6 +1,7 @@
 """The smoothing backend: the filter as odometry, keyframes and landmarks smoothed behind it.
 
-See docs/slam.md, "Smoothing". `add_frame` is the reading path. Pure: no clock; the same data give the same result, bit for bit.
+See docs/slam.md, "Smoothing". `add_frame` is the reading path. Pure: no clock; the same data give the same
+result, bit for bit.
 """
 
 from __future__ import annotations
