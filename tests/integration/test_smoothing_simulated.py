@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import SupportsIndex, SupportsInt
 
 import gtsam
 import numpy as np
@@ -73,11 +74,16 @@ def test_a_window_that_cannot_be_solved_begins_anew_and_the_report_says_so(monke
         def __getattr__(self, name: str) -> object:
             return getattr(self._smoother, name)
 
-        def update(self, *change: object) -> None:
+        def update(
+            self,
+            graph: gtsam.NonlinearFactorGraph,
+            values: gtsam.Values,
+            times: dict[SupportsInt | SupportsIndex, float],
+        ) -> None:
             self._updates += 1
             if self._updates == 5:
                 raise RuntimeError("indeterminate")
-            self._smoother.update(*change)
+            self._smoother.update(graph, values, times)
 
     def new_smoother(window: FixedLagWindow) -> object:
         nonlocal made
