@@ -59,7 +59,7 @@ def build(
     executor: Annotated[
         str, typer.Option(help="processes (of this machine) or dask://HOST:PORT of a Dask scheduler.")
     ] = "processes",
-    backend: Annotated[str, typer.Option(help="SLAM over recordings: auto, ukf, sfm, mono.")] = "sfm",
+    backend: Annotated[str, typer.Option(help="SLAM over recordings: auto, ukf, smoothing, sfm, mono.")] = "sfm",
     seed: Annotated[int, typer.Option(help="Seed of SLAM over recordings.")] = 1,
     as_json: Annotated[bool, typer.Option("--json", help="Print the graph as JSON on stdout.")] = False,
 ) -> None:
@@ -189,10 +189,6 @@ def _leg(edge: PlaceEdge, place_map: PlaceMap) -> str:
     """Distance and bearing, for a person."""
     unit = " m" if place_map.navigation.is_metric else ""
     return f"{edge.distance:.2f}{unit} at {math.degrees(edge.bearing_rad):.0f} degrees"
-
-
-def _count(number: int, word: str) -> str:
-    return f"{number} {word}{'' if number == 1 else 's'}"
 
 
 def route(

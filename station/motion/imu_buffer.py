@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from shared.calibration import ImuNoise
 from shared.geometry import FloatArray, IntArray
@@ -78,9 +79,26 @@ class ImuBuffer:
         before = np.maximum.accumulate(np.concatenate([[last], t]))[:-1]
         fresh = t > before
         self.counts.out_of_order += int((~fresh).sum())
+        self._count(t[fresh], gyro[fresh], accel[fresh])
         self._t = np.concatenate([self._t, t[fresh]])
         self._gyro = np.concatenate([self._gyro, gyro[fresh]])
         self._accel = np.concatenate([self._accel, accel[fresh]])
+
+    def _count(self, t: IntArray, gyro: FloatArray, accel: FloatArray) -> None:
+        """Gaps before new samples and those at the sensor's range, once each however often they are integrated."""
+        dt_s = np.diff(t, prepend=self._t[-1:]) * 1e-9
+        gap = self._is_gap(dt_s)
+        if gap.any():
+            self.counts.gaps += int(gap.sum())
+            self.counts.longest_gap_s = max(self.counts.longest_gap_s, float(dt_s.max()))
+        self.counts.saturated += int(self._is_at_range(gyro, accel).sum())
+
+    def _is_gap(self, dt_s: FloatArray) -> npt.NDArray[np.bool_]:
+        return np.asarray(dt_s > 2.5 * self._expected_dt_s)
+
+    def _is_at_range(self, gyro: FloatArray, accel: FloatArray) -> npt.NDArray[np.bool_]:
+        limit = 0.999 * np.repeat([self._noise.gyro_range, self._noise.accel_range], 3)
+        return np.asarray((np.abs(np.hstack([gyro, accel])) >= limit).any(axis=1))
 
     def forget_before(self, t_ns: int) -> None:
         """Drop what ended before t_ns; one earlier sample stays for interpolation."""
@@ -96,7 +114,7 @@ class ImuBuffer:
         """Steps from start to end: means of neighbouring samples, interpolated at both ends.
 
         Before the first and after the last sample their values are held. A gap is one long interpolated step whose
-        noise grows with the gap; readings at the sensor's range count as saturated and get ten times the noise.
+        noise grows with the gap; readings at the sensor's range get ten times the noise.
         """
         inside = (self._t > start_ns) & (self._t < end_ns)
         t = np.concatenate([[start_ns], self._t[inside], [end_ns]])
@@ -104,16 +122,12 @@ class ImuBuffer:
         accel = np.vstack([self._at(start_ns, self._accel), self._accel[inside], self._at(end_ns, self._accel)])
         dt = np.diff(t) * 1e-9
         scale = np.broadcast_to(self._noise_scale(start_ns, end_ns), (len(dt), 2)).copy()
-        gap = dt > 2.5 * self._expected_dt_s
+        gap = self._is_gap(dt)
         if gap.any():
-            self.counts.gaps += int(gap.sum())
-            self.counts.longest_gap_s = max(self.counts.longest_gap_s, float(dt.max()))
             # Motion between the ends is unknown: about 1 m/s^2 and 1 rad/s^2 of change, far above the white noise.
             scale[gap] += 100.0 * dt[gap, None] / self._expected_dt_s
-        limit = 0.999 * np.repeat([self._noise.gyro_range, self._noise.accel_range], 3)
-        at_range = np.asarray((np.abs(np.hstack([gyro, accel])) >= limit).any(axis=1))
+        at_range = self._is_at_range(gyro, accel)
         if at_range.any():
-            self.counts.saturated += int(at_range.sum())
             scale[at_range[:-1] | at_range[1:]] *= 10.0
         if end_ns <= start_ns:
             dt, gyro, accel, scale = dt[:0], gyro[:1], accel[:1], scale[:0]

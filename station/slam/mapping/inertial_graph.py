@@ -1,4 +1,4 @@
-"""Factors of visual-inertial smoothing for GTSAM (docs/slam.md, sec. 11; thesis 2.10-2.13).
+"""Factors of visual-inertial smoothing for GTSAM (docs/slam.md, "Smoothing"; thesis 2.10-2.13).
 
 Variables of a keyframe: pose x (Pose3, T_world_body), velocity v (3,) in the world, biases b (6,) of gyroscope and
 accelerometer; of a landmark: l (Point3). A change (w, u) of a pose is GTSAM's, on its right: R Exp(w), t + R u.

@@ -19,6 +19,12 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 
+def plain_settings(config: DataclassInstance) -> dict[str, Any]:
+    """As `navigation.json` holds them."""
+    plain: dict[str, Any] = msgspec.to_builtins(asdict(config))
+    return plain
+
+
 def make_report(
     backend: str,
     intake: FrameIntake,
@@ -40,7 +46,6 @@ def make_report(
         "images that could not be decoded": intake.undecodable,
         "images without IMU samples": intake.without_imu,
     }
-    plain: dict[str, Any] = msgspec.to_builtins(asdict(config))
     return NavigationReport(
         backend=backend,
         frames=intake.used,
@@ -59,6 +64,6 @@ def make_report(
             "scipy": scipy.__version__,
             "opencv": cv2.__version__,
         },
-        config=plain,
+        config=plain_settings(config),
         messages=(*messages, *(f"{count} {what}" for what, count in counts.items() if count)),
     )

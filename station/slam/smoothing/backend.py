@@ -1,6 +1,7 @@
-"""The smoothing backend: the filter as odometry, keyframes and landmarks smoothed behind it (docs/slam.md, sec. 11).
+"""The smoothing backend: the filter as odometry, keyframes and landmarks smoothed behind it.
 
-`add_frame` is the reading path. Pure: no clock; the same data give the same result, bit for bit.
+See docs/slam.md, "Smoothing". `add_frame` is the reading path. Pure: no clock; the same data give the same
+result, bit for bit.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from importlib.metadata import version
 
 import numpy as np
 
@@ -18,6 +20,7 @@ from station.model.frames import DriveSample, ImageArray, ImageFrame, ImuBatch
 from station.model.navigation import Navigation
 from station.model.slam_update import SlamUpdate
 from station.motion.preintegration import preintegrate
+from station.slam.mapping.report import plain_settings
 from station.slam.smoothing.batch import BatchInput, as_keyframe, smooth_segment
 from station.slam.smoothing.config import SmoothingConfig
 from station.slam.smoothing.fixed_lag import FixedLagWindow
@@ -35,6 +38,7 @@ from station.vision.features import Features
 from station.vision.klt import TrackedFrame
 
 NOTHING = np.zeros(0, dtype=np.int64)
+HEAD_TURNED = "the camera's head turned, which smoothing does not follow yet: the filter's result"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +54,7 @@ class FrameBetween:
 class SmoothingBackend:
     def __init__(self, calibration: Calibration, config: SmoothingConfig | None = None, seed: int = 0) -> None:
         config = config or SmoothingConfig()
-        self._odometry = UkfBackend(calibration, replace(config.odometry, refine=False), seed)
+        self._odometry = UkfBackend(calibration, config.odometry, seed)
         assert calibration.camera is not None and calibration.imu is not None
         self._config = config.for_robot(calibration.has_wheels)
         self._calibration = calibration
@@ -63,7 +67,8 @@ class SmoothingBackend:
         self._all_still = True
         self._tables: dict[int, LandmarkTable] = {}
         self._between: list[FrameBetween] = []
-        self.num_recalled = 0
+        self._head_turned = False
+        self._restarts = 0  # of the window, where its equations had no single solution
         self._messages: list[str] = []
 
     # ---- data in
@@ -78,21 +83,44 @@ class SmoothingBackend:
         """Follow the frame by the filter; make it a keyframe where it is one; carry the newest keyframe on to it."""
         update = self._odometry.add_frame(frame)
         state, current = self._odometry.state, self._odometry.newest
-        if state is None or current is None:
-            if state is None:
-                self._window = None
+        if current is not None and current.head is not None and not self._head_turned:
+            self._leave_to_filter()
+        if self._head_turned:
             return update
+        if state is None:
+            self._end_window()
+            return update
+        if current is not None:
+            self._follow(state, current)
+        assert self._window is not None
+        T_newest_now = self._since_keyframe(state)
+        newest = self._window.keyframes[-1]
+        if current is not None:
+            self._between.append(FrameBetween(frame.index, current.t_imu_ns, newest.number, T_newest_now))
+        points = update.new_points_world
+        if points is not None:
+            T = newest.T_world_body @ inverse(self._T_filter)  # of the filter's world
+            points = points @ T[:3, :3].T + T[:3, 3]
+        return replace(update, T_world_body=newest.T_world_body @ T_newest_now, new_points_world=points)
+
+    def _follow(self, state: FilterState, current: RecentFrame) -> None:
         self._frames_since += 1
         self._all_still = self._all_still and current.is_still
         if self._window is None:
             self._begin(state, current)
         elif self._is_keyframe(current):
             self._add_keyframe(state, current)
-        assert self._window is not None
-        T_newest_now = self._since_keyframe(state)
-        newest = self._window.keyframes[-1]
-        self._between.append(FrameBetween(frame.index, current.t_imu_ns, newest.number, T_newest_now))
-        return replace(update, T_world_body=newest.T_world_body @ T_newest_now)
+
+    def _end_window(self) -> None:
+        self._window = None
+        self._odometry.imu_needed_since_ns = None
+
+    def _leave_to_filter(self) -> None:
+        """Keyframes are poses of the body to which the camera is fixed; on a turned head only the filter knows it."""
+        self._head_turned = True
+        self._messages.append(HEAD_TURNED)
+        self._end_window()
+        self._keyframes, self._tables, self._between = [], {}, []
 
     def _since_keyframe(self, state: FilterState) -> FloatArray:
         """T_keyframe_now by the filter, both poses as it has them now; while the keyframe is still in its window."""
@@ -177,7 +205,6 @@ class SmoothingBackend:
                 uv_px=np.concatenate([tracked.uv_px, found.uv_px]),
                 xy=np.concatenate([tracked.xy, xy]),
             )
-        self.num_recalled += len(found.landmarks) + len(found.same)
         return tracked, found.trusted
 
     def _make(
@@ -218,8 +245,9 @@ class SmoothingBackend:
 
     def _append(self, keyframe: SmoothKeyframe, image: ImageArray) -> None:
         assert self._window is not None
-        self._window.add(keyframe, image)
+        self._restarts += not self._window.add(keyframe, image)
         self._keyframes.append(keyframe)
+        self._odometry.imu_needed_since_ns = keyframe.source.t_imu_ns  # the next one is linked to this one
         self._frames_since, self._all_still = 0, True
 
     # ---- the rest of the interface
@@ -235,8 +263,17 @@ class SmoothingBackend:
 
     def finish(self) -> Navigation:
         """End the navigation. Raises EstimationError, with the reason, when nothing could be reconstructed."""
-        nav = self._odometry.finish_improved(self._improve)
-        report = replace(nav.report, backend="smoothing", messages=(*nav.report.messages, *self._messages))
+        nav = self._odometry.finish() if self._head_turned else self._odometry.finish_improved(self._improve)
+        settings = plain_settings(self._config)
+        del settings["odometry"]  # the rest of the report's settings
+        restarts = f"{self._restarts} windows of keyframes begun anew, since the equations had no single solution"
+        report = replace(
+            nav.report,
+            backend="smoothing",
+            versions=nav.report.versions | {"gtsam": version("gtsam")},
+            config=nav.report.config | {"smoothing": settings},
+            messages=(*nav.report.messages, *self._messages, *((restarts,) if self._restarts else ())),
+        )
         return replace(nav, id=nav.id.replace("ukf", "smoothing", 1), report=report)
 
     def _improve(self, memory: NavigationMemory) -> None:

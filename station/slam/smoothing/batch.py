@@ -1,4 +1,4 @@
-"""When the drive has ended: all keyframes and landmarks of a segment in one problem (docs/slam.md, sec. 11)."""
+"""When the drive has ended: all keyframes and landmarks of a segment in one problem (docs/slam.md, "Smoothing")."""
 
 from __future__ import annotations
 
@@ -39,6 +39,7 @@ from station.vision.lens import BoolArray
 GATES = (6.0, 3.0)  # sigmas, one round of least squares each
 MAX_DEPTH_SIGMA = 0.5  # relative; a landmark known worse says nothing of positions
 MAX_ITERATIONS = 12
+NO_SOLUTION = "keyframes and landmarks leave the equations without a single solution"
 NUM_DROPS = 3  # of a track's worst observation
 
 
@@ -51,21 +52,19 @@ class BatchInput:
     wheels: WheelsKnown | None
 
 
-def smooth_segment(keyframes: list[SmoothKeyframe], given: BatchInput) -> float:
-    """Give all keyframes their final poses, velocities and biases; returns the median reprojection error in px.
+def smooth_segment(whole: list[SmoothKeyframe], given: BatchInput) -> None:
+    """Give all keyframes their final poses, velocities and biases, or leave them as they are.
 
     Raises:
         DegenerateGeometry: the equations have no single solution.
     """
-    whole, keyframes = keyframes, thinned(keyframes, given.config.max_keyframes)
+    keyframes = [replace(k) for k in thinned(whole, given.config.max_keyframes)]
     T_before = np.array([k.T_world_body for k in keyframes])
-    error_px = 0.0
     for gate in GATES:
         table = TrackObservations.of([as_keyframe(k) for k in keyframes])
         ids, points, table = _triangulated(keyframes, table, given.camera, gate)
-        error_px = _solve(keyframes, table, ids, points, given)
+        _solve(keyframes, table, ids, points, given)
     _bring_along(whole, keyframes, T_before)
-    return error_px
 
 
 def thinned(keyframes: list[SmoothKeyframe], most: int) -> list[SmoothKeyframe]:
@@ -175,7 +174,7 @@ def _solve(
     ids: IntArray,
     points: FloatArray,
     given: BatchInput,
-) -> float:
+) -> None:
     graph, values = motion_graph(keyframes, given)
     _, at = _rows(ids, table.track)
     xy, sigma, distance = distances(keyframes, table, points[at], given.camera)
@@ -192,9 +191,6 @@ def _solve(
         k.T_world_body = values.atPose3(pose_key(k.number)).matrix()
         k.v_world = values.atVector(velocity_key(k.number))
         k.bias = values.atVector(bias_key(k.number))
-    p = np.array([values.atPoint3(landmark_key(f)) for f in range(len(points))]).reshape(-1, 3)
-    distance = distances(keyframes, table, p[at], given.camera)[2]
-    return float(np.median(distance) * given.camera.sigma_px) if len(distance) else 0.0
 
 
 def motion_graph(
@@ -234,11 +230,19 @@ def motion_graph(
 
 
 def optimised(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
+    """Better values. Raises DegenerateGeometry where there is no step towards them."""
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setMaxIterations(MAX_ITERATIONS)
     parameters.setRelativeErrorTol(1e-4)
     parameters.setlambdaInitial(1e-6)
     try:
-        return gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+        better = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+        error = graph.error(better)
+        if not error < graph.error(values):
+            # It also returns the start where no step could be solved for; without damping, that is an error.
+            graph.linearize(values).optimize()
     except RuntimeError as exc:  # GTSAM's own kind, for equations that are indeterminate
-        raise DegenerateGeometry("keyframes and landmarks leave the equations without a single solution") from exc
+        raise DegenerateGeometry(NO_SOLUTION) from exc
+    if not np.isfinite(error):
+        raise DegenerateGeometry(NO_SOLUTION)
+    return better

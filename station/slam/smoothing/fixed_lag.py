@@ -66,7 +66,6 @@ class FixedLagWindow:
         self._keys: dict[int, int] = {}  # landmark number: its key's number while it is in the window
         self._next_key = 0
         self._smoother = self._new_smoother()
-        self.failures = 0
 
     @property
     def oldest(self) -> int:
@@ -80,8 +79,11 @@ class FixedLagWindow:
         parameters.setRelinearizeThreshold(RELINEARISE_ABOVE)
         return gtsam.IncrementalFixedLagSmoother(self._config.lag_s, parameters)
 
-    def add(self, keyframe: SmoothKeyframe, grey: np.ndarray[tuple[int, int], np.dtype[np.uint8]]) -> None:
-        """Take a keyframe in; it and those of the window get their newest estimate."""
+    def add(self, keyframe: SmoothKeyframe, grey: np.ndarray[tuple[int, int], np.dtype[np.uint8]]) -> bool:
+        """Take a keyframe in; it and those of the window get their newest estimate.
+
+        False where the equations have no single solution: the window begins anew with this keyframe.
+        """
         change = _Change()
         self._add_motion(change, keyframe)
         self.keyframes.append(keyframe)
@@ -91,9 +93,10 @@ class FixedLagWindow:
             self._smoother.update(change.graph, change.values, change.times)
         except RuntimeError:  # GTSAM's: the equations are indeterminate
             self._restart()
-            return
+            return False
         self._forget()
         self._read()
+        return True
 
     def _add_motion(self, change: _Change, keyframe: SmoothKeyframe) -> None:
         k, t = keyframe.number, keyframe.t_s
@@ -246,7 +249,6 @@ class FixedLagWindow:
 
     def _restart(self) -> None:
         """The equations could not be solved: begin anew with the newest keyframe, as it was predicted."""
-        self.failures += 1
         newest = self.keyframes[-1]
         self._smoother = self._new_smoother()
         self._keys, self.keyframes = {}, []
@@ -254,10 +256,6 @@ class FixedLagWindow:
         self._add_motion(change, newest)
         self.keyframes.append(newest)
         self._smoother.update(change.graph, change.values, change.times)
-
-    def covariance(self) -> FloatArray:
-        """(6, 6) of the newest pose: rotation and position about body axes (GTSAM's change of a pose)."""
-        return np.asarray(self._smoother.marginalCovariance(pose_key(self.keyframes[-1].number)))
 
 
 @dataclass(slots=True, eq=False)

@@ -79,6 +79,10 @@ class LandmarkTable:
     def patches(self, rows: IntArray) -> Patches:
         return Patches(self._grey[rows], self._offset[rows], self._uv[rows], self._T[rows])
 
+    def seen_from(self, rows: IntArray) -> FloatArray:
+        """(n, 3) centres of the cameras in whose views the patches were cut."""
+        return self._T[rows, :3, 3]
+
     def lost(self, seen_numbers: IntArray) -> IntArray:
         """Rows of the good landmarks that are not among these."""
         gone: BoolArray = ~np.isin(self.number[: self._count], seen_numbers)

@@ -22,6 +22,7 @@ ALIGN_STEPS = 8
 MAX_ALIGN_PX = 1.5  # from the best whole pixel
 PEAK_PX = 2  # places nearer than this to the best one are the same peak
 MIN_DEPTH = 0.05
+MAX_XY = 3.0  # beyond that no lens model holds
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,6 +85,25 @@ def find_again(
     return Found(rows[good], refined[good])
 
 
+def are_in_view(
+    lens: Lens, T_world_cam: FloatArray, p_world: FloatArray, c_ref: FloatArray, config: RecallConfig
+) -> BoolArray:
+    """Which of n points lie in the image, looked at from about where their patches were cut: centres c_ref (n, 3).
+
+    Cheap enough for all landmarks of a drive; `predict_views`, which asks for more, is not.
+    """
+    ray, ray_ref = p_world - T_world_cam[:3, 3], p_world - c_ref
+    cosine = (ray * ray_ref).sum(axis=1)
+    cosine /= np.linalg.norm(ray, axis=1) * np.linalg.norm(ray_ref, axis=1) + 1e-12
+    p_cam = ray @ T_world_cam[:3, :3]
+    xy = p_cam[:, :2] / np.maximum(p_cam[:, 2:], MIN_DEPTH)
+    visible = (cosine > np.cos(np.radians(config.max_view_angle_deg))) & (p_cam[:, 2] > MIN_DEPTH)
+    visible &= (np.abs(xy) < MAX_XY).all(axis=1)
+    rows = np.flatnonzero(visible)
+    visible[rows] = lens.is_inside(lens.project(xy[rows]), config.patch_px)
+    return visible
+
+
 def predict_views(
     lens: Lens, T_world_cam: FloatArray, p_world: FloatArray, patches: Patches, config: RecallConfig
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
@@ -93,9 +113,8 @@ def predict_views(
     """
     R, c = T_world_cam[:3, :3], T_world_cam[:3, 3]
     R_ref, c_ref = patches.T_world_cam[:, :3, :3], patches.T_world_cam[:, :3, 3]
-    p_cam = (p_world - c) @ R
     p_ref = ((p_world - c_ref)[:, None] @ R_ref)[:, 0]
-    visible = (p_cam[:, 2] > MIN_DEPTH) & (p_ref[:, 2] > MIN_DEPTH)
+    visible = are_in_view(lens, T_world_cam, p_world, c_ref, config) & (p_ref[:, 2] > MIN_DEPTH)
     depth = np.where(visible, p_ref[:, 2], 1.0)
     steps = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     rays = homogeneous(lens.unproject(patches.uv_px[:, None] + steps))
@@ -104,15 +123,11 @@ def predict_views(
     z = np.where(visible[:, None], corners[..., 2], 1.0)
     visible &= (z > MIN_DEPTH).all(axis=1)
     xy = corners[..., :2] / np.maximum(z, MIN_DEPTH)[..., None]
-    visible &= (np.abs(xy) < 3.0).all(axis=(1, 2))
+    visible &= (np.abs(xy) < MAX_XY).all(axis=(1, 2))
     seen = lens.project(np.where(visible[:, None, None], xy, 0.0))
     uv, warp = seen[:, 0], np.swapaxes(seen[:, 1:] - seen[:, :1], 1, 2)
     stretch = np.linalg.svd(warp, compute_uv=False)
-    cosine = ((p_world - c) * (p_world - c_ref)).sum(axis=1)
-    cosine /= np.linalg.norm(p_world - c, axis=1) * np.linalg.norm(p_world - c_ref, axis=1) + 1e-12
-    visible &= lens.is_inside(uv, config.patch_px)
     visible &= (stretch[:, 0] < config.max_stretch) & (stretch[:, 1] > 1.0 / config.max_stretch)
-    visible &= cosine > np.cos(np.radians(config.max_view_angle_deg))
     return uv, np.where(visible[:, None, None], warp, np.eye(2)), visible
 
 

@@ -11,7 +11,7 @@ from station.model.frames import ImageArray
 from station.slam.smoothing.config import RecallConfig
 from station.slam.smoothing.keyframe import camera_pose
 from station.slam.smoothing.landmarks import LandmarkTable
-from station.slam.smoothing.recall import find_again, predict_views
+from station.slam.smoothing.recall import are_in_view, find_again, predict_views
 from station.vision.camera_model import CameraModel
 from station.vision.camera_pose import solve_pose_from
 from station.vision.klt import TrackedFrame
@@ -47,6 +47,7 @@ class Recaller:
         shown = table.named(tracked)
         lost = table.lost(shown.ids)
         nothing = Recalled(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), [], np.zeros(0, dtype=np.int64))
+        lost = lost[are_in_view(camera.lens, T_world_cam, table.p_world[lost], table.seen_from(lost), config)]
         if not len(lost):
             return nothing
         _, _, is_visible = predict_views(camera.lens, T_world_cam, table.p_world[lost], table.patches(lost), config)

@@ -94,6 +94,7 @@ class UkfBackend:
         self._lost_since: int | None = None
         self._lost_ns = 0
         self._last_message = "no image came"
+        self.imu_needed_since_ns: int | None = None  # by a backend that builds on this one; None: by none
         self.newest: RecentFrame | None = None  # what was followed into the newest frame; None: it was left out
 
     def add_imu(self, imu: ImuBatch) -> None:
@@ -144,7 +145,8 @@ class UkfBackend:
             update = self._wait_for_start(current, is_still)
         else:
             update = self._track(self._filter, current, segment, is_still)
-        self._imu.forget_before(t_imu - int((self._config.start.max_window_s + 0.5) * 1e9))
+        oldest = t_imu - int((self._config.start.max_window_s + 0.5) * 1e9)
+        self._imu.forget_before(min(oldest, oldest if self.imu_needed_since_ns is None else self.imu_needed_since_ns))
         return update
 
     # ---- tracking
@@ -302,12 +304,14 @@ class UkfBackend:
         return self.finish_improved(None)
 
     def finish_improved(self, improve: Callable[[NavigationMemory], None] | None) -> Navigation:
-        """The same, with what somebody else knows of the keyframes by now; see `finish`."""
+        """The same; `improve` gives what somebody else knows of the keyframes by now, instead of refining them."""
         with self._blas.limit(limits=1):
             return self._finish(improve)
 
     def _finish(self, improve: Callable[[NavigationMemory], None] | None) -> Navigation:
         memory, intake, config = self._memory, self._intake, self._config
+        if improve is not None:
+            config = replace(config, refine=False)
         if self._filter is not None:
             memory.flush(self._filter, self._monitor.outage_since)
         if self._lost_since is not None:

@@ -1,7 +1,8 @@
-"""How noisy the IMU is taken to be, from what it reads."""
+"""How noisy the IMU is taken to be, from what it reads; gaps and readings at its range are counted."""
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -45,3 +46,20 @@ def test_motion_is_no_noise() -> None:
 def test_what_alternates_between_samples_averages_out() -> None:
     buzz = np.where(np.arange(len(T_S)) % 2 == 0, 1.0, -1.0)[:, None] * np.ones(3)
     assert noise_scale(0.1 * buzz, buzz) == pytest.approx([1.0, 1.0], abs=1e-9)
+
+
+def test_a_gap_and_a_reading_at_the_range_are_counted_once_however_often_they_are_integrated() -> None:
+    noise = msgspec.structs.replace(NOISE, gyro_range=4.0, accel_range=70.0)
+    buffer = ImuBuffer(noise)
+    t_ns = np.rint(T_S * 1e9).astype(np.int64)
+    keep = (T_S < 2.0) | (T_S >= 2.1)
+    gyro, accel = white(3, NOISE.gyro_density), white(4, NOISE.accel_density)
+    gyro[200, 1] = -4.0
+    for part in np.array_split(np.flatnonzero(keep), 300):
+        buffer.add(ImuBatch(t_ns[part], gyro[part], accel[part]))
+    for begin_ns in range(500_000_000, 2_050_000_000, 50_000_000):
+        buffer.segment(begin_ns, begin_ns + 500_000_000)
+    assert (buffer.counts.gaps, buffer.counts.saturated) == (1, 1)
+    assert buffer.counts.longest_gap_s == pytest.approx(0.105)
+    widest = buffer.segment(1_900_000_000, 2_300_000_000)
+    assert widest.noise_scale.max() > 100.0  # the gap still counts as what it is

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from shared.calibration import REFERENCE_CAMERA
-from shared.geometry import FloatArray, se3, so3_exp
+from shared.geometry import FloatArray, inverse, se3, so3_exp
 from station.model.frames import ImageArray
 from station.slam.smoothing.config import RecallConfig
-from station.slam.smoothing.recall import cut_patches, find_again
-from station.vision.lens import Lens
+from station.slam.smoothing.keyframe import camera_pose
+from station.slam.smoothing.landmarks import LandmarkTable
+from station.slam.smoothing.recall import Patches, cut_patches, find_again, predict_views
+from station.slam.smoothing.search import Recaller
+from station.vision.camera_model import CameraModel
+from station.vision.klt import TrackedFrame
+from station.vision.lens import BoolArray, Lens
 
 pytestmark = pytest.mark.computing
 
@@ -69,3 +76,33 @@ def test_what_lies_behind_the_camera_is_not_looked_for() -> None:
     patches, _ = cut_patches(wall(np.eye(4)), uv, np.eye(4), CONFIG.stored_px)
     behind = se3(so3_exp(np.array([0.0, np.pi, 0.0])), np.zeros(3))
     assert not len(find_again(wall(np.eye(4)), LENS, behind, p, patches, np.full(len(p), 8.0), CONFIG).rows)
+
+
+def test_only_landmarks_near_the_view_have_their_patches_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    uv, p = marks()
+    patches, _ = cut_patches(wall(np.eye(4)), uv, np.eye(4), CONFIG.stored_px)
+    far = 1000
+    table = LandmarkTable(CONFIG.stored_px)
+    elsewhere = se3(np.eye(3), np.array([50.0, 0.0, 0.0]))
+    moved = replace(patches.take(np.zeros(far, dtype=np.int64)), T_world_cam=np.repeat(elsewhere[None], far, axis=0))
+    table.add(np.arange(far), np.repeat(p[:1] + elsewhere[:3, 3], far, axis=0), np.zeros((far, 3, 3)), moved, 0)
+    table.add(far + np.arange(len(p)), p, np.zeros((len(p), 3, 3)), patches, 0)
+    asked: list[int] = []
+
+    def counted(
+        lens: Lens, T_world_cam: FloatArray, p_world: FloatArray, patches: Patches, config: RecallConfig
+    ) -> tuple[FloatArray, FloatArray, BoolArray]:
+        asked.append(len(p_world))
+        return predict_views(lens, T_world_cam, p_world, patches, config)
+
+    for name in ("search", "recall"):
+        monkeypatch.setattr(f"station.slam.smoothing.{name}.predict_views", counted)
+    camera = CameraModel.of(REFERENCE_CAMERA, 1.0)
+    nothing = TrackedFrame(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 2)), 0, 0, 0)
+    T_world_body = inverse(camera_pose(np.eye(4), camera))
+    found = Recaller(camera, CONFIG).search(table, wall(np.eye(4)), nothing, T_world_body, 0)
+    reach = np.full(len(p), CONFIG.reach_px)
+    alone = find_again(wall(np.eye(4)), LENS, np.eye(4), p, patches, reach, CONFIG)
+    assert len(alone.rows) > 20
+    assert found.landmarks.tolist() == (far + alone.rows).tolist()
+    assert max(asked) <= len(p)
