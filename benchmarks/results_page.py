@@ -48,24 +48,22 @@ def machines(results: dict[str, ResultFile]) -> list[str]:
 
 
 def table_rows(result: ResultFile) -> list[str]:
-    """A row for each figure; those of one thing (`thing: what`) that have no bound share one."""
+    """A row for each figure; those of one thing (`thing: what`) that are held against the same bound share one."""
     before, after = result.load
     end = f"`{result.command}` | {result.commit} | {result.date} | {before:g}, {after:g} |"
-    rows = []
-    for thing, group in itertools.groupby(result.figures, _thing_without_bound):
-        figures = list(group)
-        if thing and len(figures) > 1:
-            told = "; ".join(f"{figure.what.removeprefix(thing)} {value_with_unit(figure)}" for figure in figures)
-            rows.append(f"| {thing.strip(': ')} | {told} | – | {end}")
-        else:
-            rows += [f"| {figure.what} | {value_with_unit(figure)} | {bound(figure)} | {end}" for figure in figures]
-    return rows
+    rows: dict[tuple[str, str], list[Figure]] = {}
+    for figure in result.figures:
+        thing, colon, _ = figure.what.partition(": ")
+        rows.setdefault((thing if colon else figure.what, bound(figure)), []).append(figure)
+    return [_row(thing, figures, end) for (thing, _), figures in rows.items()]
 
 
-def _thing_without_bound(figure: Figure) -> str:
-    """What a figure without a bound is of, with the colon behind it; else nothing."""
-    thing, colon, _ = figure.what.partition(": ")
-    return thing + colon if colon and figure.at_least is None and figure.at_most is None else ""
+def _row(thing: str, figures: list[Figure], end: str) -> str:
+    """One figure, or several of one thing with one bound."""
+    if len(figures) == 1:
+        return f"| {figures[0].what} | {value_with_unit(figures[0])} | {bound(figures[0])} | {end}"
+    told = "; ".join(f"{figure.what.removeprefix(f'{thing}: ')} {value_with_unit(figure)}" for figure in figures)
+    return f"| {thing} | {told} | {bound(figures[0])} | {end}"
 
 
 def value_with_unit(figure: Figure) -> str:
