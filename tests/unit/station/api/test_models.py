@@ -12,12 +12,18 @@ import msgspec
 import pytest
 
 import station.api
-from shared.calibration import CameraCalibration
+from shared.calibration import CameraCalibration, WheelCalibration
 from shared.messages import Capabilities, DriveApplied
 from shared.token_book import TokenRecord
 from station.api.access import TokenModel
 from station.api.schema.base import Model
-from station.api.schema.calibration import BoardSeenModel, CalibrationSessionModel, CameraModel, MeterModel
+from station.api.schema.calibration import (
+    BoardSeenModel,
+    CalibrationSessionModel,
+    CameraModel,
+    MeterModel,
+    WheelsModel,
+)
 from station.api.schema.comparisons import ComparisonModel
 from station.api.schema.jobs import JobModel
 from station.api.schema.navigations import BinModel, NavigationModel
@@ -75,6 +81,7 @@ MADE_OF: dict[type[Model], type] = {
     RouteModel: Route,
     TokenModel: TokenRecord,
     VisitModel: Visit,
+    WheelsModel: WheelCalibration,
 }
 
 
