@@ -89,7 +89,7 @@ def run_in(options: DemoOptions, data: Path, say: Say) -> bool:
         raise
 
 
-SURE_OF_A_NAME = 0.9  # two stickers that speak against each other have half each
+LIKELY = 0.5  # more than that: two stickers that speak against each other have half each at most
 
 
 def run_steps(options: DemoOptions, programs: Programs, data: Path, say: Say) -> bool:
@@ -243,7 +243,7 @@ def build_map(demo: Demo, navigation: str) -> list[dict[str, Any]]:
 def name_rooms(demo: Demo) -> None:
     """Give rooms the names that stickers in the flat speak for alone, as a person does who presses "Use it"."""
     for room in demo.station.get("/rooms"):
-        for suggestion in [s for s in room["suggestions"] if s["confidence"] >= SURE_OF_A_NAME]:
+        for suggestion in [s for s in room["suggestions"] if s["confidence"] > LIKELY]:
             demo.station.call("PATCH", f"/rooms/{room['id']}", {"name": suggestion["name"]})
             demo.say(f"    {room['name']} is the {suggestion['name']}: {suggestion['reason']}")
     rooms = demo.station.get("/rooms")
