@@ -22,7 +22,8 @@ from robot.head import STEP_S, CameraHead
 from robot.health import CpuMeter, read_temperatures
 from robot.measured_motors import MeasuredMotors
 from robot.outbox import ImuBacklog, ImuCursor
-from robot.own_calibration import OwnCalibration, summary
+from robot.own_calibration import OwnCalibration
+from robot.recalibration import Recalibration
 from robot.recompress import Recompressor
 from robot.sensors import Faults, pump_camera, pump_imu
 from robot.station_client import StationClient
@@ -30,11 +31,9 @@ from robot.systemd import Systemd
 from robot.video import FrameSlot, VideoStream
 from robot.watchdog import STANDSTILL, MotorWatchdog, Velocity
 from shared.access import Role
-from shared.calibration_yaml import calibration_digest
-from shared.errors import HardwareError, RobotSystemError
+from shared.errors import HardwareError
 from shared.messages import (
     PROTOCOL_VERSION,
-    CalibrationChanged,
     DriveApplied,
     ErrorCode,
     ErrorNotice,
@@ -109,15 +108,14 @@ class RobotServer:
         if not starts_with_first_station:
             self._may_start.set()
         self._cpu = CpuMeter()
-        self._tasks: asyncio.TaskGroup | None = None
-        self._is_recalibrating = False
+        self._recalibration = Recalibration(self.calibration, self._clients, self._is_driven)
 
     async def serve(self, listener: socket.socket) -> None:
         """Serve stations on a bound socket until cancelled."""
         self._loop = asyncio.get_running_loop()
         try:
             async with asyncio.TaskGroup() as tasks:
-                self._tasks = tasks
+                self._recalibration.tasks = tasks
                 reception = Reception(
                     listener,
                     self._doorstep.tls(),
@@ -140,7 +138,7 @@ class RobotServer:
                     await self._say_goodbye()
         finally:
             self.stop_motors()
-            self._loop = self._tasks = None
+            self._loop = self._recalibration.tasks = None
             self._recompressor.close()
             await self._devices.close()
 
@@ -205,7 +203,7 @@ class RobotServer:
                 self.desk.note_heard(client.id, client.meter.has_heard_ns)
             return
         if isinstance(message, UseCalibration | UndoCalibration):
-            self._recalibrate(client, message)
+            self._recalibration.order(client, message)
             return
         if isinstance(message, Heartbeat):
             # Whoever may not drive may keep nobody else from driving.
@@ -226,7 +224,7 @@ class RobotServer:
         client.put(notice("not_allowed", text, about=about))
 
     def _welcome(self, client: StationClient, join: Join) -> None:
-        if self._is_recalibrating and not join.knows_calibration_changed:
+        if self._recalibration.is_running and not join.knows_calibration_changed:
             client.end(Event.REFUSAL, Refusal(reason="the robot's calibration is just being written; connect again"))
             return
         rank = _rank(client)
@@ -276,56 +274,6 @@ class RobotServer:
         deadline_ns = self._now_ns() + 500_000_000
         while self._clients and self._now_ns() < deadline_ns:
             await asyncio.sleep(0.01)
-
-    # Calibration
-
-    def _recalibrate(self, client: StationClient, message: UseCalibration | UndoCalibration) -> None:
-        reason = self._why_no_other_calibration() or self._why_outdated(message)
-        if reason or self._tasks is None:
-            client.put(notice("not_allowed", reason, about="calibration"))
-            return
-        self._is_recalibrating = True
-        self._tasks.create_task(self._change_calibration(client, message))
-
-    def _why_no_other_calibration(self) -> str:
-        """In a sentence; empty: it may change now."""
-        if self._is_recalibrating:
-            return "another calibration is just being written; try again"
-        if self.desk.lease.driver(self._now_ns()) is not None or not self._applied().is_zero:
-            return "the robot is being driven; let go, then change its calibration"
-        if older := [c.station_name for c in self._clients.values() if c.is_joined and not c.knows_calibration_changed]:
-            return (
-                f"{', '.join(older)} runs an older release, which cannot be told of another calibration;"
-                " disconnect it, or install the robot's release there"
-            )
-        return self.calibration.origin.fixed
-
-    def _why_outdated(self, message: UseCalibration | UndoCalibration) -> str:
-        """In a sentence; empty: it was made of what the robot tells now."""
-        if message.instead_of in (msgspec.UNSET, calibration_digest(self.calibration.current)):
-            return ""
-        return "another station changed the robot's calibration meanwhile; look at it, then decide anew"
-
-    async def _change_calibration(self, client: StationClient, message: UseCalibration | UndoCalibration) -> None:
-        own = self.calibration
-        try:
-            if isinstance(message, UseCalibration):
-                await asyncio.to_thread(own.use, message.calibration)
-            else:
-                await asyncio.to_thread(own.undo)
-        except RobotSystemError as exc:
-            client.put(notice("out_of_range", str(exc), about="calibration"))
-            return
-        finally:
-            self._is_recalibrating = False
-        logger.info("%s changed the calibration: %s", client.station_name, summary(own.current))
-        changed = CalibrationChanged(calibration=own.current, origin=own.origin)
-        for other in self._clients.values():
-            if other.is_joined:
-                other.put(msgspec.structs.replace(changed, is_answer=other is client))
-        for other in self._clients.values():
-            if not other.is_joined:  # its hello told the one before
-                other.end(Event.REFUSAL, Refusal(reason="the robot's calibration has just changed; connect again"))
 
     # Sensors
 
@@ -405,6 +353,9 @@ class RobotServer:
             self.faults.set("motors", self.watchdog.fault)
         else:
             self.faults.clear("motors")
+
+    def _is_driven(self) -> bool:
+        return self.desk.lease.driver(self._now_ns()) is not None or not self._applied().is_zero
 
     def _applied(self) -> Velocity:
         return STANDSTILL if self.watchdog is None else self.watchdog.applied
