@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.bench_mapping import parse_seeds
-from benchmarks.result import Figure, Run, add_results_option, share, work_folder
+from benchmarks.result import Figure, Run, add_results_option, rows_by_seed, share, work_folder
 
 PASSED_PERCENT = 95.0  # asked: 19 of 20
 
@@ -57,16 +57,7 @@ def main() -> int:
     options = parser.parse_args()
     run = Run.begin()
     kept: Path = options.rows or work_folder() / f"demo{options.backend}.jsonl"
-    kept.parent.mkdir(parents=True, exist_ok=True)
-    done = {row["seed"]: row for row in map(json.loads, kept.read_text().splitlines())} if kept.exists() else {}
-    seeds = parse_seeds(options.seeds)
-    for seed in seeds:
-        if seed not in done:
-            done[seed] = run_demo(seed, options.backend)
-            with kept.open("a") as file:
-                file.write(json.dumps(done[seed]) + "\n")
-        print(json.dumps(done[seed]), flush=True)
-    rows = [done[seed] for seed in seeds]
+    rows = rows_by_seed(kept, parse_seeds(options.seeds), lambda seed: run_demo(seed, options.backend))
     run.write(options.results, figures(rows))
     return 0 if all(row["passed"] for row in rows) else 1
 

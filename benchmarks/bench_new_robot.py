@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import json
 import shutil
 import sys
 import tempfile
@@ -31,7 +30,7 @@ from playwright.async_api import Locator, ViewportSize, async_playwright, expect
 from benchmarks.bench_demo import PASSED_PERCENT
 from benchmarks.bench_mapping import parse_seeds
 from benchmarks.bench_page import CHROMIUM_ARGUMENTS
-from benchmarks.result import Figure, Run, add_results_option, share, work_folder
+from benchmarks.result import Figure, Run, add_results_option, rows_by_seed, share, work_folder
 from robot.simulation.config import BuildErrors
 from robot.simulation.construction import built_camera
 from shared.calibration import REFERENCE_CAMERA, CameraCalibration
@@ -181,16 +180,7 @@ def main() -> int:
     options = parser.parse_args()
     run = Run.begin()
     kept: Path = options.rows or work_folder() / "new_robot.jsonl"
-    kept.parent.mkdir(parents=True, exist_ok=True)
-    done = {row["seed"]: row for row in map(json.loads, kept.read_text().splitlines())} if kept.exists() else {}
-    seeds = parse_seeds(options.seeds)
-    for seed in seeds:
-        if seed not in done:
-            done[seed] = go_the_way(seed)
-            with kept.open("a") as file:
-                file.write(json.dumps(done[seed]) + "\n")
-        print(json.dumps(done[seed]), flush=True)
-    rows = [done[seed] for seed in seeds]
+    rows = rows_by_seed(kept, parse_seeds(options.seeds), go_the_way)
     run.write(options.results, figures(rows))
     return 0 if all(row["passed"] for row in rows) else 1
 

@@ -20,9 +20,10 @@ import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -153,6 +154,22 @@ def work_folder() -> Path:
     """Where benchmarks keep what they go on from: a folder for each state of the code, so that none are mixed."""
     state = CodeState.of_now()
     return FOLDER / "work" / (state.code if state.clean else f"{state.code}-changed")
+
+
+def rows_by_seed(kept: Path, seeds: Sequence[int], measure: Callable[[int], dict[str, Any]]) -> list[dict[str, Any]]:
+    """A row for each seed: from the lines of this file, or measured and put there, so that a long run can be resumed.
+
+    Each is printed.
+    """
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    done = {row["seed"]: row for row in map(json.loads, kept.read_text().splitlines())} if kept.exists() else {}
+    for seed in seeds:
+        if seed not in done:
+            done[seed] = measure(seed)
+            with kept.open("a") as file:
+                file.write(json.dumps(done[seed]) + "\n")
+        print(json.dumps(done[seed]), flush=True)
+    return [done[seed] for seed in seeds]
 
 
 def command_line(module: str, arguments: Sequence[str]) -> str:
