@@ -6,12 +6,13 @@ import numpy as np
 from scipy import ndimage
 
 from shared.geometry import FloatArray, yaw_rotation
+from station.places.rooms.lengths import WALL_M
 from station.places.rooms.sides import best_runs
 from station.places.rooms.surfaces import SIDES, Seen, find_surfaces
 from station.places.rooms.wall_model import WallModel
 
 COARSE, FINE = np.radians(np.arange(0.0, 90.0, 1.0)), np.radians(np.arange(-1.0, 1.01, 0.1))
-BIN_M = 0.05  # as thick as a wall appears in a cloud
+BIN_M = 0.5 * WALL_M
 MOST_POINTS = 20_000
 TURNS = np.radians(np.arange(-4.0, 4.1, 1.0))  # of the axes by landmarks, tried on walls
 NEAR_PLANES = 7  # of which the best counts

@@ -12,11 +12,11 @@ from shared.geometry import FloatArray
 from station.model.floor_plan import FREE, OCCUPIED, UNSEEN
 from station.model.navigation import Navigation
 from station.places.making.scale import units_per_metre
+from station.places.rooms.lengths import FLOOR_PERCENT, SKIRTING_M, WALL_M
 from station.places.space.space import Cells, Space
 
-CELL_M = 0.05  # half as thick as a wall
-ABOVE_FLOOR_M = (0.08, 2.0)  # of landmarks that stand in the way: neither the floor nor what is above a door
-LOWEST_PERCENT = 2.0  # of all landmarks lie no higher than the floor, but for a few false ones
+CELL_M = 0.5 * WALL_M
+LINTEL_M = 2.0  # landmarks above stand in nobody's way
 MIN_LANDMARKS = 3  # in a cell and its eight neighbours, so that single false ones stand nowhere
 SEEN_THROUGH = 2.0  # times as often as its landmarks were observed: a cell over which one sees, or a false landmark
 SPECK_M2 = 0.1  # what is less, all around seen to be free, is a table leg or a sector that no landmark filled
@@ -94,7 +94,11 @@ def _stands(p: FloatArray, unit: float) -> Cells:
     finite: Cells = np.asarray(np.isfinite(p).all(axis=1), dtype=np.bool_)
     if not finite.any():
         return finite
-    floor = np.percentile(p[finite, 2], LOWEST_PERCENT)
-    above = (p[:, 2] - floor) / unit
-    found = finite & (above > ABOVE_FLOOR_M[0]) & (above < ABOVE_FLOOR_M[1])
+    above = above_floor(p[:, 2]) / unit
+    found = finite & (above > SKIRTING_M) & (above < LINTEL_M)
     return np.asarray(found, dtype=np.bool_)
+
+
+def above_floor(z: FloatArray) -> FloatArray:
+    """(n,) heights of landmarks at z (n,), in its unit; some finite."""
+    return z - np.percentile(z[np.isfinite(z)], FLOOR_PERCENT)

@@ -16,6 +16,7 @@ from scipy import sparse
 from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
 from shared.geometry import FloatArray, IntArray
+from station.places.rooms.lengths import WALL_M
 from station.places.rooms.sides import Sides, best_runs
 from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Side, Surfaces
 from station.places.rooms.wall_model import WallModel
@@ -24,7 +25,6 @@ from station.places.space.space import Cells
 MOST_PLANES = 20  # for each of the four sides: the strongest
 MOST_OPEN = 8  # ... and, for open ones, the strongest of the opposite side
 LEAST_M = 0.9  # a robot drives into nothing narrower
-BESIDE_M = 0.1  # a wall is as thick: two planes nearer with the same landmarks are one
 PRICE_M = 0.25  # between the points of the ground that have a price
 COLUMNS = 12  # new rectangles of a round
 ROUNDS = 60
@@ -84,9 +84,12 @@ def find_rectangles(surfaces: Surfaces, sides: Sides, model: WallModel) -> Packe
 
 
 def strongest_planes(odds: FloatArray, most: int) -> IntArray:
-    """Numbers of the planes with the likeliest walls; each stretch of wall counts on the best of near planes only."""
+    """Numbers of the planes with the likeliest walls.
+
+    Of planes nearer to each other than a wall is thick each stretch of landmarks counts on the best one only.
+    """
     left = odds.copy()
-    reach = round(BESIDE_M / LINE_M)
+    reach = round(WALL_M / LINE_M)
     strength, begin, end = best_runs(left)
     found: set[int] = set()
     while len(found) < most and strength.max() > 0:
@@ -142,7 +145,7 @@ LEAST_DRIVEN_M2 = PIECE_M  # half a metre of the way's width
 
 
 def _packed(choices: _Choices, surfaces: Surfaces) -> Packed:
-    step, beside = round(PRICE_M / LINE_M), round(BESIDE_M / LINE_M)
+    step, beside = round(PRICE_M / LINE_M), round(WALL_M / LINE_M)
     shape = tuple(2 * n // step + 1 for n in surfaces.driven.shape)
     # The priced points in a rectangle; what lies as near its sides as a wall is thick has none.
     first = [-(-(choices.planes[k] + beside) // step) for k in (0, 2)]

@@ -13,6 +13,7 @@ from scipy import ndimage
 from shared.geometry import FloatArray
 from station.places.rooms.borders import Passage, find_borders, rectangles_at, settled, walls_of
 from station.places.rooms.evidence import Ground
+from station.places.rooms.lengths import DOOR_M
 from station.places.rooms.rectangles import find_rectangles
 from station.places.rooms.sides import weigh_sides
 from station.places.rooms.surfaces import Surfaces
@@ -20,8 +21,8 @@ from station.places.rooms.wall_model import WallModel
 from station.places.space.space import Cells
 
 Labels = npt.NDArray[np.int32]  # (X, Y) 0: no room
-LINE_M = 0.15  # a drawn line parts this much free space
-HALF_DOOR_M = 0.4  # of a door that the body passed and nobody saw
+DRAWN_M = 0.15  # a drawn line parts this much free space
+DOOR_MIDDLE_M = 0.5 * sum(DOOR_M)  # the width of a door that the body passed and nobody saw
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +118,7 @@ def _passed_unseen(surfaces: Surfaces, edges: FloatArray, known: Sequence[Passag
             middle = surfaces.seen.path[begin : end + 1].mean(axis=0)
             d = surfaces.seen.path[end] - surfaces.seen.path[begin]
             across = np.array([0.0, 1.0]) if abs(d[0]) > abs(d[1]) else np.array([1.0, 0.0])
-            found.append(Passage(a, b, middle + HALF_DOOR_M * np.array([[-1.0], [1.0]]) * across))
+            found.append(Passage(a, b, middle + 0.5 * DOOR_MIDDLE_M * np.array([[-1.0], [1.0]]) * across))
     return found
 
 
@@ -180,13 +181,13 @@ def _gate_of(labels: Labels, ground: Ground, passage: Passage) -> Gate | None:
 
 
 def _line_cells(ground: Ground, line: FloatArray) -> Cells:
-    """Cells within half of LINE_M of a line."""
+    """Cells within half of DRAWN_M of a line."""
     x, y = (ground.low[k] + (np.arange(ground.free.shape[k]) + 0.5) * ground.cell for k in range(2))
     p = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1) - line[0]
     d = line[1] - line[0]
     length = max(float(d @ d), 1e-12)
     nearest = np.clip((p @ d) / length, 0.0, 1.0)
-    return np.asarray(np.hypot(*np.moveaxis(p - nearest[..., None] * d, -1, 0)) <= 0.5 * LINE_M * ground.unit)
+    return np.asarray(np.hypot(*np.moveaxis(p - nearest[..., None] * d, -1, 0)) <= 0.5 * DRAWN_M * ground.unit)
 
 
 def _is_same(ends: FloatArray, line: FloatArray) -> bool:

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.geometry import FloatArray, IntArray
-from station.places.rooms.surfaces import SIDES, Side, Surfaces
+from station.places.rooms.lengths import DOOR_M
+from station.places.rooms.surfaces import PIECE_M, SIDES, Side, Surfaces
 from station.places.rooms.wall_model import WallModel
 from station.places.space.space import Cells
 
-DOOR_PIECES = range(6, 13)  # of 10 cm: doors are 0.7 to 1.1 m wide, and pieces err by one
+DOOR_PIECES = range(round(DOOR_M[0] / PIECE_M) - 1, round(DOOR_M[1] / PIECE_M) + 2)  # either end may err by half of one
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,16 +17,16 @@ from scipy import ndimage
 from shared.geometry import FloatArray, IntArray, yaw_rotation
 from station.model.navigation import Navigation
 from station.places.making.scale import units_per_metre
+from station.places.rooms.evidence import above_floor
+from station.places.rooms.lengths import SKIRTING_M, WALL_M
 from station.places.space.carving import FARTHEST_M, MAX_CELLS
 from station.places.space.sight import SECTORS
 from station.places.space.space import Cells
 
 Side = tuple[int, int]  # the axis that a plane stands across, and the direction along it in which the room lies: 1, -1
 SIDES: tuple[Side, ...] = ((0, 1), (0, -1), (1, 1), (1, -1))
-LINE_M = 0.05  # between planes: half as thick as a wall
-PIECE_M = 2 * LINE_M  # of a plane
-FLOOR_PERCENT = 2.0  # of the landmarks lie lower than the floor: false ones
-SKIRTING_M = 0.08  # landmarks below stand on the floor, not on a wall
+LINE_M = 0.5 * WALL_M  # between planes
+PIECE_M = WALL_M  # of a plane
 SHORT_OF = 0.97, 0.05  # a sight ends this share of its way, and so many metres, before its landmark: depths err
 BEFORE_M = (0.2, 0.3, 0.4)  # a plane: the sights that come so near look at it
 COUNTS = (0, 1, 2, 4)  # least of each class, of landmarks and of crossings; more do not say more
@@ -57,7 +57,7 @@ class Seen:
         path = path if len(path) else eyes[np.isfinite(eyes).all(axis=1), :2]
         stands = np.isfinite(p).all(axis=1)
         if stands.any():
-            stands &= p[:, 2] > np.percentile(p[stands, 2], FLOOR_PERCENT) + SKIRTING_M
+            stands &= above_floor(p[:, 2]) > SKIRTING_M
         towards = _towards_observers(navigation, p, eyes)
         return cls(p[stands, :2], towards[stands], _sights(navigation, p, eyes), path)
 
