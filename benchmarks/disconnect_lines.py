@@ -249,7 +249,7 @@ class LinkLine:
     @property
     def num_robot_clients(self) -> int:
         """Connections that the robot still holds."""
-        return 0 if self.bench.server is None else len(self.bench.server._clients)
+        return 0 if self.bench.task is None else len(self.bench.server._clients)
 
     def mark(self) -> None:
         self.bench.heard.clear()

@@ -26,7 +26,7 @@ class Recalibration:
         self, own: OwnCalibration, clients: Mapping[int, StationClient], is_driven: Callable[[], bool]
     ) -> None:
         """`clients`: all connections, by number, as they are at any time."""
-        self._own = own
+        self.own = own
         self._clients = clients
         self._is_driven = is_driven
         self.tasks: asyncio.TaskGroup | None = None  # of the server, while it serves
@@ -52,16 +52,16 @@ class Recalibration:
                 f"{', '.join(older)} runs an older release, which cannot be told of another calibration;"
                 " disconnect it, or install the robot's release there"
             )
-        return self._own.origin.fixed
+        return self.own.origin.fixed
 
     def _why_outdated(self, message: UseCalibration | UndoCalibration) -> str:
         """In a sentence; empty: it was made of what the robot tells now."""
-        if message.instead_of in (msgspec.UNSET, calibration_digest(self._own.current)):
+        if message.instead_of in (msgspec.UNSET, calibration_digest(self.own.current)):
             return ""
         return "another station changed the robot's calibration meanwhile; look at it, then decide anew"
 
     async def _change(self, client: StationClient, message: UseCalibration | UndoCalibration) -> None:
-        own = self._own
+        own = self.own
         try:
             if isinstance(message, UseCalibration):
                 await asyncio.to_thread(own.use, message.calibration)

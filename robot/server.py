@@ -89,10 +89,9 @@ class RobotServer:
         self._config = config
         self._now_ns = now_ns
         self._loop: asyncio.AbstractEventLoop | None = None
-        self.calibration = calibration or OwnCalibration(None, devices.calibration)
         self.watchdog = None
         if devices.motors is not None:
-            motors = MeasuredMotors(devices.motors, lambda: self.calibration.current.wheel_factors)
+            motors = MeasuredMotors(devices.motors, lambda: self.recalibration.own.current.wheel_factors)
             self.watchdog = MotorWatchdog(motors, self._report_from_thread)
         self.desk = CommandDesk(devices, self.watchdog, config.drive)
         self.faults = Faults(self._broadcast_fault)
@@ -108,14 +107,16 @@ class RobotServer:
         if not starts_with_first_station:
             self._may_start.set()
         self._cpu = CpuMeter()
-        self._recalibration = Recalibration(self.calibration, self._clients, self._is_driven)
+        self.recalibration = Recalibration(
+            calibration or OwnCalibration(None, devices.calibration), self._clients, self._is_driven
+        )
 
     async def serve(self, listener: socket.socket) -> None:
         """Serve stations on a bound socket until cancelled."""
         self._loop = asyncio.get_running_loop()
         try:
             async with asyncio.TaskGroup() as tasks:
-                self._recalibration.tasks = tasks
+                self.recalibration.tasks = tasks
                 reception = Reception(
                     listener,
                     self._doorstep.tls(),
@@ -138,7 +139,7 @@ class RobotServer:
                     await self._say_goodbye()
         finally:
             self.stop_motors()
-            self._loop = self._recalibration.tasks = None
+            self._loop = self.recalibration.tasks = None
             self._recompressor.close()
             await self._devices.close()
 
@@ -157,9 +158,9 @@ class RobotServer:
             name=identity.name or robot_id,
             session_id=self._session_id,
             capabilities=self.desk.capabilities(),
-            calibration=self.calibration.current,
+            calibration=self.recalibration.own.current,
             challenge=challenge,
-            calibration_origin=self.calibration.origin,
+            calibration_origin=self.recalibration.own.origin,
         )
 
     # Connections
@@ -203,7 +204,7 @@ class RobotServer:
                 self.desk.note_heard(client.id, client.meter.has_heard_ns)
             return
         if isinstance(message, UseCalibration | UndoCalibration):
-            self._recalibration.order(client, message)
+            self.recalibration.order(client, message)
             return
         if isinstance(message, Heartbeat):
             # Whoever may not drive may keep nobody else from driving.
@@ -224,7 +225,7 @@ class RobotServer:
         client.put(notice("not_allowed", text, about=about))
 
     def _welcome(self, client: StationClient, join: Join) -> None:
-        if self._recalibration.is_running and not join.knows_calibration_changed:
+        if self.recalibration.is_running and not join.knows_calibration_changed:
             client.end(Event.REFUSAL, Refusal(reason="the robot's calibration is just being written; connect again"))
             return
         rank = _rank(client)

@@ -137,7 +137,7 @@ async def test_a_station_that_turns_bad_while_driving_leaves_the_motors_off() ->
         last = (await all_until_closed(reader))[-1]
         assert isinstance(last, ErrorNotice) and "linear nan is outside" in last.message
         assert bench.motors.are_off
-        assert bench.server is not None and bench.server.desk.lease.driver(time.monotonic_ns()) is None
+        assert bench.server.desk.lease.driver(time.monotonic_ns()) is None
 
 
 @pytest.mark.parametrize("sent", [b"", JOIN[: len(JOIN) // 2]])
@@ -158,8 +158,8 @@ async def test_a_station_that_falls_silent_loses_the_wheel_and_then_the_connecti
     monkeypatch.setattr(robot.commands, "LEASE_NS", 3_600_000_000_000)  # it is not the lease that ends
     async with running_robot() as bench, wire(bench.port) as (reader, writer):
         await drive_off(bench, reader, writer)
-        lease = bench.server.desk.lease if bench.server is not None else None
-        assert lease is not None and lease.driver(time.monotonic_ns()) is not None
+        lease = bench.server.desk.lease
+        assert lease.driver(time.monotonic_ns()) is not None
         await until(lambda: lease.driver(time.monotonic_ns()) is None)
         assert bench.motors.are_off
         monkeypatch.setattr(shared.session, "CLOSE_AFTER_NS", 200_000_000)
@@ -200,13 +200,12 @@ async def test_the_answer_to_a_heartbeat_is_stamped_when_it_leaves(monkeypatch: 
 
 async def test_of_many_that_join_at_once_only_so_many_are_taken_in() -> None:
     async with running_robot(max_stations=2, max_waiting=64) as bench:
-        assert bench.server is not None
         wires = [await asyncio.open_connection("127.0.0.1", bench.port) for _ in range(20)]
         try:
-            await until(lambda: bench.server is not None and len(bench.server._clients) == 20)
+            await until(lambda: len(bench.server._clients) == 20)
             for _, writer in wires:
                 writer.write(JOIN)
-            await until(lambda: bench.server is not None and len(bench.server._clients) == 2)
+            await until(lambda: len(bench.server._clients) == 2)
             assert all(client.is_joined for client in bench.server._clients.values())
         finally:
             for _, writer in wires:
@@ -228,7 +227,7 @@ async def test_a_station_that_fell_silent_yields_its_place() -> None:
     async with running_robot(max_stations=2) as bench, wire(bench.port) as one, wire(bench.port) as two:
         for _, writer in (one, two):
             writer.write(JOIN)
-        clients = bench.server._clients if bench.server is not None else {}
+        clients = bench.server._clients
         await until(lambda: sum(c.session.state is State.QUIET for c in clients.values()) == 2)
         async with linked(bench.port):
             await until(lambda: len(clients) == 2)
@@ -244,11 +243,10 @@ async def test_a_station_that_fell_silent_yields_its_place() -> None:
 async def test_a_peer_that_never_reads_does_not_fill_the_robots_memory() -> None:
     async with running_robot() as bench, linked(bench.port) as (link, notes), wire(bench.port) as (_, writer):
         writer.write(JOIN)
-        await until(lambda: bench.server is not None and sum(c.is_joined for c in bench.server._clients.values()) == 2)
+        await until(lambda: sum(c.is_joined for c in bench.server._clients.values()) == 2)
         for n in range(100):
             bench.camera.put(n, size=300_000)
             await until(lambda n=n: notes.frames and notes.frames[-1][0].seq == n)
-        assert bench.server is not None
         stuck = max(bench.server._clients.values(), key=lambda c: c.id)
         assert stuck._writer.transport.get_write_buffer_size() < 1_000_000
         await assert_goes_on(bench, link, notes)

@@ -63,8 +63,7 @@ def focal(calibration: Calibration) -> float:
 
 async def test_a_calibration_is_told_by_the_robot_from_then_on_kept_and_undone(tmp_path: Path) -> None:
     async with at_work(tmp_path / "station") as (desk, bench, _):
-        assert bench.server is not None
-        bench.server.calibration = OwnCalibration(tmp_path / "own", REFERENCE_ROBOT)
+        bench.server.recalibration.own = OwnCalibration(tmp_path / "own", REFERENCE_ROBOT)
         before = (await desk.http.get("/calibration")).json()
         assert before["camera"]["intrinsics"][0] == 1083.4 and not before["can_undo"] and before["fixed"] == ""
         async with linked(bench.port) as (other, notes):
@@ -81,8 +80,7 @@ async def test_a_calibration_is_told_by_the_robot_from_then_on_kept_and_undone(t
         assert focal(fresh.current) == 1001.5
         await bench.stop()
         await bench.start()
-        assert bench.server is not None
-        bench.server.calibration = fresh
+        bench.server.recalibration.own = fresh
         await wait_for(desk, "/robot", lambda r: r["connected"] and r["connections"] == 2)
         assert (await desk.http.get("/calibration")).json() == told
         assert (await desk.http.post("/calibration/undo")).json()["camera"] == before["camera"]
@@ -135,8 +133,7 @@ async def test_a_result_of_another_robot_is_not_written_into_the_present_one(tmp
 
 async def test_nothing_begins_while_a_calibration_is_being_written(tmp_path: Path) -> None:
     async with at_work(tmp_path) as (desk, bench, _):
-        assert bench.server is not None
-        bench.server.calibration = own = SlowCalibration()
+        bench.server.recalibration.own = own = SlowCalibration()
         writing = asyncio.create_task(desk.http.post("/calibration/use", json=LENS))
         try:
             await until(own.is_asked.is_set)
@@ -152,8 +149,7 @@ async def test_nothing_begins_while_a_calibration_is_being_written(tmp_path: Pat
 async def test_a_robot_whose_folder_cannot_be_written_says_so(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     async with at_work(tmp_path / "station") as (desk, bench, _):
-        assert bench.server is not None
-        bench.server.calibration = OwnCalibration(tmp_path / "file" / "own", REFERENCE_ROBOT)
+        bench.server.recalibration.own = OwnCalibration(tmp_path / "file" / "own", REFERENCE_ROBOT)
         answer = await desk.http.post("/calibration/use", json=LENS)
         assert is_problem(answer, 409) and "set calibration.folder" in answer.json()["detail"]
 
@@ -181,7 +177,6 @@ async def test_a_navigation_keeps_the_calibration_it_was_made_with(tmp_path: Pat
         busy = await desk.http.post("/calibration/use", json=LENS)
         assert is_problem(busy, 409) and "being recorded" in busy.json()["detail"]
         # Another station's admin may: then the recording ends where the calibration does.
-        assert bench.server is not None
         async with linked(bench.port) as (other, _):
             await until(lambda: other.state.connected)
             assert REFERENCE_ROBOT.camera is not None
@@ -210,8 +205,9 @@ async def test_an_order_made_of_what_the_robot_tells_no_more_is_refused(tmp_path
             refusal = await other.commands.use_calibration(wanted, outdated)
             assert refusal is not None and "meanwhile" in refusal.message
         assert (await desk.http.get("/calibration")).json()["camera"]["intrinsics"][0] == 1001.5
-        assert other.state.hello is not None
-        assert await other.commands.use_calibration(None, other.state.hello.calibration) is None
+        hello = other.state.hello
+        assert hello is not None and focal(hello.calibration) == 1001.5  # by now it was told
+        assert await other.commands.use_calibration(None, hello.calibration) is None
         await wait_for(desk, "/calibration", lambda told: told["camera"]["intrinsics"][0] == 1083.4)
 
 

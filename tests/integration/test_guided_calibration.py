@@ -114,7 +114,6 @@ async def test_wheels_are_measured_while_the_robot_drives_and_an_imu_without_a_b
 async def test_no_other_station_drives_while_a_board_is_held_before_the_robot(tmp_path: Path) -> None:
     async with before_a_board(tmp_path) as (desk, bench, _), linked(bench.port, "other") as (other, notes):
         begun = (await desk.http.post("/calibration/sessions", json=ORDER)).json()
-        assert bench.server is not None
         await until(lambda: bench.server.desk.is_handled)
         async with asyncio.timeout(60):
             while not any("handles the robot" in notice.message for notice in notes.notices):

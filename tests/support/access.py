@@ -68,7 +68,7 @@ class GuardedBench(Bench):
         self.gate = gate
         listener = bind("127.0.0.1", self.port)
         self.port = listener.getsockname()[1]
-        self.server = RobotServer(self.devices(), self.config, gate=gate)
+        self._server = RobotServer(self.devices(), self.config, gate=gate)
         desk = self.server.desk
         self.server.desk = HearingDesk(desk.devices, desk.watchdog, desk.limits, heard=self.heard)
         self.task = asyncio.create_task(self.server.serve(listener))

@@ -162,9 +162,14 @@ class Bench:
         self.camera, self.imu, self.motors, self.head = FakeCamera(), FakeImu(), FakeMotors(), FakeHead()
         self.config = RobotConfig(server=ServerConfig(port=0, **server))
         self.port = 0
-        self.server: RobotServer | None = None
+        self._server: RobotServer | None = None
         self.task: asyncio.Task[None] | None = None
         self.heard: list[StationMessage] = []  # everything stations said, in order
+
+    @property
+    def server(self) -> RobotServer:
+        assert self._server is not None, "the bench was not started"
+        return self._server
 
     def devices(self) -> DeviceSet:
         return DeviceSet(
@@ -191,7 +196,7 @@ class Bench:
         """Start, or start again on the same port."""
         listener = bind("127.0.0.1", self.port)
         self.port = listener.getsockname()[1]
-        self.server = RobotServer(self.devices(), self.config)
+        self._server = RobotServer(self.devices(), self.config)
         desk = self.server.desk
         self.server.desk = HearingDesk(desk.devices, desk.watchdog, desk.limits, heard=self.heard)
         self.task = asyncio.create_task(self.server.serve(listener))
