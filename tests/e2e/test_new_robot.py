@@ -7,11 +7,15 @@ All the way, with the drives before and after and the place at the end: `python 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from playwright.async_api import Browser, expect
+from playwright.async_api import Browser, Locator, Page, expect
 
 from robot.simulation.config import BodyParameters, BuildErrors
 from robot.simulation.construction import built_camera
@@ -42,18 +46,38 @@ MOUNTED_OTHERWISE = {"pitch_deg": 3.0, "yaw_deg": -2.0, "forward_cm": 1.5, "up_c
 WAVED_S = 25.0
 
 
+@dataclass(frozen=True, slots=True)
+class Room:
+    """A new robot, its station, and the dialog on a page."""
+
+    simulator: SimulatorLink
+    desk: Desk
+    page: Page
+    dialog: Locator
+
+
+@asynccontextmanager
+async def new_robot_at_the_page(
+    browser: Browser, folder: Path, built: dict[str, float], screen: dict[str, Any]
+) -> AsyncIterator[Room]:
+    """`built`: BuildErrors."""
+    async with (
+        new_robot(folder, built) as (port, simulator),
+        running_station(port, folder / "station") as desk,
+        await browser.new_context(**screen) as context,
+    ):
+        page = await context.new_page()
+        yield Room(simulator, desk, page, await open_dialog(page, desk.address))
+
+
 async def test_a_robot_built_otherwise_than_it_tells_is_calibrated_and_tells_its_own_camera(
     browser: Browser, tmp_path: Path
 ) -> None:
     told = REFERENCE_CAMERA
     built = built_camera(told, BuildErrors(seed=BUILD_SEED))
     assert abs(built.fx / told.fx - 1) > 0.05  # else there is nothing to find
-    async with (
-        new_robot(tmp_path, {"seed": BUILD_SEED}) as (port, simulator),
-        running_station(port, tmp_path / "station") as desk,
-        await browser.new_context(**LAPTOP) as context,
-    ):
-        dialog = await open_dialog(await context.new_page(), desk.address)
+    async with new_robot_at_the_page(browser, tmp_path, {"seed": BUILD_SEED}, LAPTOP) as room:
+        simulator, desk, dialog = room.simulator, room.desk, room.dialog
         await expect(dialog).to_contain_text(f"focal length {told.fx:.1f}")
         await choose_own_board(dialog)
         await dialog.get_by_role("button", name="Begin").click()
@@ -73,13 +97,8 @@ async def test_a_robot_whose_camera_sits_otherwise_is_waved_on_a_phones_page_and
     browser: Browser, tmp_path: Path
 ) -> None:
     built = built_camera(REFERENCE_CAMERA, BuildErrors(**MOUNTED_OTHERWISE))
-    async with (
-        new_robot(tmp_path, MOUNTED_OTHERWISE) as (port, simulator),
-        running_station(port, tmp_path / "station") as desk,
-        await browser.new_context(**PHONE) as context,
-    ):
-        page = await context.new_page()
-        dialog = await open_dialog(page, desk.address)
+    async with new_robot_at_the_page(browser, tmp_path, MOUNTED_OTHERWISE, PHONE) as room:
+        simulator, desk, dialog = room.simulator, room.desk, room.dialog
         await dialog.get_by_label("What").select_option("camera-imu")
         await choose_own_board(dialog)
         await wave_until_all_is_recorded(dialog, simulator, 1.0, WAVED_S)
@@ -95,7 +114,7 @@ async def test_a_robot_whose_camera_sits_otherwise_is_waved_on_a_phones_page_and
         assert found["time_shift_s"] == pytest.approx(built.time_shift_s, abs=5e-4)
         assert found["line_delay_s"] == pytest.approx(built.line_delay_s, abs=2e-6)
         # The board is known from now on, also to a page that is opened anew.
-        dialog = await open_dialog(page, desk.address)
+        dialog = await open_dialog(room.page, desk.address)
         await dialog.get_by_role("button", name="Again").click()
         await expect(dialog.get_by_label("What")).to_have_value("camera-imu")
         await expect(dialog.get_by_label("Tag or square, mm")).to_have_value("34.0")
@@ -104,13 +123,8 @@ async def test_a_robot_whose_camera_sits_otherwise_is_waved_on_a_phones_page_and
 async def test_the_wheels_are_driven_in_the_dialog_measured_and_do_as_they_are_told_from_then_on(
     browser: Browser, tmp_path: Path
 ) -> None:
-    async with (
-        new_robot(tmp_path, {}) as (port, simulator),
-        running_station(port, tmp_path / "station") as desk,
-        await browser.new_context(**PHONE) as context,
-    ):
-        page = await context.new_page()
-        dialog = await open_dialog(page, desk.address)
+    async with new_robot_at_the_page(browser, tmp_path, {}, PHONE) as room:
+        simulator, desk, dialog = room.simulator, room.desk, room.dialog
         await dialog.get_by_label("What").select_option("wheels")
         await choose_own_board(dialog)
         await dialog.get_by_role("button", name="Begin").click()
@@ -141,12 +155,8 @@ async def true_turn_rad(desk: Desk, simulator: SimulatorLink, commanded: float) 
 async def test_a_minute_at_rest_tells_the_imus_white_noise_and_the_robot_takes_it(
     browser: Browser, tmp_path: Path
 ) -> None:
-    async with (
-        new_robot(tmp_path, {}) as (port, _),
-        running_station(port, tmp_path / "station") as desk,
-        await browser.new_context(**LAPTOP) as context,
-    ):
-        dialog = await open_dialog(await context.new_page(), desk.address)
+    async with new_robot_at_the_page(browser, tmp_path, {}, LAPTOP) as room:
+        desk, dialog = room.desk, room.dialog
         await dialog.get_by_label("What").select_option("imu")
         await expect(dialog.get_by_label("Paper")).to_be_hidden()
         await dialog.get_by_role("button", name="Begin").click()

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared.calibration import REFERENCE_ROBOT
+from shared.calibration import REFERENCE_CAMERA
 from shared.geometry import FloatArray, so3_exp
 from station.slam.mapping.odometry import MOTION_START
 from station.slam.mapping.odometry_bundle import BundleState
@@ -33,9 +33,7 @@ def test_a_moving_camera_is_moved_back_exactly(seed: int) -> None:
 
 def test_only_rays_of_landmarks_are_moved_and_by_their_own_depth() -> None:
     rng = np.random.default_rng(1)
-    camera = REFERENCE_ROBOT.camera
-    assert camera is not None
-    T = camera.T_body_cam_matrix
+    T = REFERENCE_CAMERA.T_body_cam_matrix
     R = np.array([so3_exp(rng.normal(0, 0.2, 3)) for _ in range(3)])
     p = rng.normal(0, 0.3, (3, 3))
     R_cam, centre = R @ T[:3, :3], p + R @ T[:3, 3]
@@ -51,9 +49,9 @@ def test_only_rays_of_landmarks_are_moved_and_by_their_own_depth() -> None:
         for i in (0, 1):
             later = centre[view] + R_cam[view] @ v_cam[view] * delay_s[i]
             rays[view][i] = seen_from(R_cam[view], later, points[i])
-    view, feature = (np.repeat(np.arange(3), 2), np.tile([0, 1], 3))
-    tracks = Tracks(view, feature, feature, 2)
+    feature = np.tile([0, 1], 3)
+    tracks = Tracks(np.repeat(np.arange(3), 2), feature, feature, 2)
     state = BundleState(R, p, points, MOTION_START)
-    for moved, right in zip(stood_still(rays, rows, state, tracks, camera), at_once, strict=True):
+    for moved, right in zip(stood_still(rays, rows, state, tracks, REFERENCE_CAMERA), at_once, strict=True):
         assert np.allclose(moved, right, atol=1e-12)
-    assert stood_still(rays, None, state, tracks, camera) is rays
+    assert stood_still(rays, None, state, tracks, REFERENCE_CAMERA) is rays
