@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
+from scipy.stats import poisson
 
 from shared.geometry import FloatArray
 
@@ -14,6 +15,7 @@ FITS: Final = "fits"
 MISFITS: Final = "does not fit"
 UNKNOWN: Final = "not known yet"
 
+_MISFITS_BECAUSE: Final = "the calibration does not fit:"
 REMEDY: Final = (
     "calibrate the camera, or carry the robot about by hand while half a minute is recorded, and let"
     " `station calibrate check RECORDING.mcap --out calibration.yaml` say what is off"
@@ -29,6 +31,10 @@ MAX_TIME_SHIFT_S = 0.010
 # since 2 % have been taken for nearly 3, and are borne.
 MAX_CORRECTED_FOCAL_ERROR = 0.025
 SURE = 1.0 / 3.0  # an error is known when its standard deviation is at most this share of what is borne
+# Tracking that is given up because image and IMU contradict each other: how often that is with a right calibration
+# (a knock, a person who walks through the view), generously. With one that is far off it is ten to thirty times.
+CONTRADICTIONS_PER_S = 1.0 / 60.0
+UNLIKELY = 1e-4  # of that many by chance: asked after each, some dozens a drive at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +49,7 @@ class CalibrationFit:
     time_shift_sigma_s: float
     verdict: FitVerdict
     sentence: str  # for a person
+    is_contradicted: bool = False  # image and IMU were at odds so often that the numbers above are not to be relied on
 
     def __post_init__(self) -> None:
         """Raises ValueError: a focal length that none has."""
@@ -73,8 +80,8 @@ def why_doubtful(fit: CalibrationFit | None) -> str:
 
 def why_unsure(fit: CalibrationFit | None) -> str:
     """As `why_misfit`, but empty too where what does not fit is near enough, less its sigma, to be corrected."""
-    if fit is None:
-        return ""
+    if fit is None or fit.is_contradicted:
+        return why_misfit(fit)
     surely_turned = _drawn_to_zero(np.array(fit.mounting_deg), np.array(fit.mounting_sigma_deg))
     turns = _turns(replace(fit, mounting_deg=_three(surely_turned)))
     is_other = any(excess.is_known for excess in (*turns, *_shifts(fit)))  # nothing corrects a time shift
@@ -84,6 +91,19 @@ def why_unsure(fit: CalibrationFit | None) -> str:
 def newer(before: CalibrationFit | None, now: CalibrationFit) -> CalibrationFit:
     """What is known of a calibration once another drive speaks of it: drives say nothing sure at first."""
     return before if before is not None and now.verdict == UNKNOWN != before.verdict else now
+
+
+def contradicted(fit: CalibrationFit, times: int, within_s: float) -> CalibrationFit:
+    """The fit, given that tracking was lost so many times because image and IMU contradicted each other.
+
+    Of a calibration that is far off (another lens than the told one) windows of sound tracking are rare and say little,
+    each from its own mistaken poses; that there are hardly any says enough. Where they do say something, it stands.
+    """
+    if fit.verdict != UNKNOWN or poisson.sf(times - 1, CONTRADICTIONS_PER_S * within_s) > UNLIKELY:
+        return fit
+    seems = "".join(f", {excess.what}, give or take {excess.give_or_take}" for excess in _excesses(fit))
+    what = f"image and IMU contradicted each other {times} times in {within_s:.0f} s{seems}"
+    return replace(fit, verdict=MISFITS, sentence=f"{_MISFITS_BECAUSE} {what}; {REMEDY}", is_contradicted=True)
 
 
 def judge(
@@ -99,7 +119,7 @@ def judge(
     fit = CalibrationFit(*focal, turned, turned_sigma, *shift_s, verdict=UNKNOWN, sentence="")
     excesses = _excesses(fit)
     if misfits := [excess.what for excess in excesses if excess.is_known]:
-        return replace(fit, verdict=MISFITS, sentence=f"the calibration does not fit: {', '.join(misfits)}; {REMEDY}")
+        return replace(fit, verdict=MISFITS, sentence=f"{_MISFITS_BECAUSE} {', '.join(misfits)}; {REMEDY}")
     if not excesses and _is_focal_known(fit):
         said = f"what the drive says of the focal length is {abs(_focal_error(fit)):.1%} from it"
         return replace(fit, verdict=FITS, sentence=f"the calibration fits: {said}")

@@ -131,6 +131,14 @@ def combined(windows: Sequence[CalibrationInformation], *, is_all: bool) -> Cali
     )
 
 
+def nothing_known() -> CalibrationFit:
+    """What is said of a calibration before any window."""
+    none = np.zeros(3)
+    return judge(
+        (1.0, float(PRIOR_SIGMA[FOCAL])), none, np.degrees(PRIOR_SIGMA[MOUNTING]), (0.0, float(PRIOR_SIGMA[TIME]))
+    )
+
+
 def _jackknife_sigma(matrices: FloatArray, scores: FloatArray) -> FloatArray:
     """(5,) by how much the result changes when some windows are left out (Efron 1982). One window: the prior's.
 

@@ -34,7 +34,7 @@ from station.slam.ukf.finish import make_navigation, make_report
 from station.slam.ukf.map.keyframes import is_grey, sample_grey
 from station.slam.ukf.map.views import MapViews
 from station.slam.ukf.memory import NavigationMemory, Points, RecentFrame
-from station.slam.ukf.monitor import LIFTED, TrackingMonitor
+from station.slam.ukf.monitor import CONTRADICTION, LIFTED, TrackingMonitor
 from station.slam.ukf.start.coasting import Coasting
 from station.slam.ukf.start.starter import ORIGIN, Anchor, GivenState, Starter, WaitingFrame, state_from_given
 from station.slam.ukf.start.stillness import StillnessDetector
@@ -261,6 +261,8 @@ class UkfBackend:
         self._filter = None
         self._lost_since = self._intake.last_t_ns
         self._messages.append(f"tracking lost after {self._intake.elapsed_s:.1f} s: {reason}")
+        if reason == CONTRADICTION:
+            memory.calibration_check.contradict(self._intake.elapsed_s)
         self._starter.reset()
         memory.recent = {}
         return self._update(frame, f"tracking lost: {reason}", None)

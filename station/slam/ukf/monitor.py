@@ -18,6 +18,7 @@ FEW_FIT = 0.4  # of landmarks and tracks over a second; 0.98 on a real flight
 MEMORY = 0.95  # per frame: about a second of measurements
 MIN_REMEMBERED = 25  # landmarks and tracks
 LIFTED = "the robot is being lifted"
+CONTRADICTION = "image and IMU contradict each other"
 LIFTED_FRAMES = 3  # consecutive
 # Before a blank wall features leave over the picture's border, under a hand they vanish within it; docs/studies/ukf.md
 # has the shares.
@@ -59,7 +60,7 @@ class TrackingMonitor:
         disagrees = tried >= MIN_JUDGED and result.num_landmarks_passed < FEW_PASSED * tried
         self._disagreements = self._disagreements + 1 if disagrees else 0
         if self._disagreements >= config.max_disagreements or self._seldom_fits(result):
-            return "image and IMU contradict each other"
+            return CONTRADICTION
         return None
 
     def _blind_for_s(self, frame: TrackedFrame, t_imu_ns: int) -> float:

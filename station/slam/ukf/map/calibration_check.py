@@ -9,8 +9,13 @@ import numpy as np
 
 from shared.calibration import ImuNoise
 from shared.errors import DegenerateGeometry
-from station.model.calibration_fit import CalibrationFit
-from station.slam.mapping.calibration_information import CalibrationInformation, calibration_information, combined
+from station.model.calibration_fit import CalibrationFit, contradicted
+from station.slam.mapping.calibration_information import (
+    CalibrationInformation,
+    calibration_information,
+    combined,
+    nothing_known,
+)
 from station.slam.mapping.inertial_bundle import solve_window
 from station.slam.ukf.map.keyframes import Keyframe
 from station.slam.ukf.map.windows import Spacer, window_of
@@ -36,7 +41,15 @@ class CalibrationCheck:
         self._part: list[Keyframe] = []
         self._waiting: deque[list[Keyframe]] = deque()
         self._windows: list[CalibrationInformation] = []
-        self.fit: CalibrationFit | None = None  # by all windows so far
+        self.fit: CalibrationFit | None = None  # what the drive so far says
+        self._contradictions = 0
+        self._last_contradiction_s = 0.0
+
+    def contradict(self, elapsed_s: float) -> None:
+        """Tracking was lost, that long after the drive's begin, because image and IMU contradicted each other."""
+        self._contradictions += 1
+        self._last_contradiction_s = elapsed_s
+        self._judge(is_all=False)
 
     def add(self, keyframe: Keyframe) -> None:
         """Take a keyframe in as the filter leaves it. One of a turned head says nothing: the IMU does not feel it."""
@@ -68,7 +81,7 @@ class CalibrationCheck:
                     self._camera, self._noise, self._gravity, solved.states, *given
                 )  # fmt: skip
                 self._windows.append(information)
-                self.fit = combined(self._windows, is_all=False)
+                self._judge(is_all=False)
         except DegenerateGeometry:
             pass  # it says nothing
         return True
@@ -78,8 +91,13 @@ class CalibrationCheck:
         self._end_part()
         while self.work():
             pass
-        self.fit = combined(self._windows, is_all=True)
+        self._judge(is_all=True)
         return self.fit
+
+    def _judge(self, *, is_all: bool) -> None:
+        by_windows = combined(self._windows, is_all=is_all)
+        fit = contradicted(by_windows or nothing_known(), self._contradictions, self._last_contradiction_s)
+        self.fit = fit if fit.is_contradicted else by_windows
 
     def _end_part(self) -> None:
         part, self._part = self._part, []

@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from station.model.calibration_fit import CalibrationFit, judge, newer, why_doubtful, why_misfit
+from station.model.calibration_fit import (
+    CalibrationFit,
+    contradicted,
+    judge,
+    newer,
+    why_doubtful,
+    why_misfit,
+    why_unsure,
+)
 
 KNOWN, UNKNOWN = 0.002, 0.01  # standard deviations of a focal length that is known, and is not
 
@@ -52,3 +60,22 @@ def test_a_drive_that_has_just_begun_undoes_nothing_that_is_known() -> None:
     assert newer(fits, misfits) == misfits and newer(misfits, fits) == fits
     again = fit_of(sigma=UNKNOWN)
     assert newer(begun, again) == again
+
+
+def test_image_and_imu_at_odds_again_and_again_is_a_misfit_whatever_the_numbers() -> None:
+    ill_known = fit_of(focal=0.8, sigma=0.1)
+    fit = contradicted(ill_known, 12, 69.0)
+    assert fit.verdict == "does not fit" and fit.is_contradicted
+    assert "contradicted each other 12 times in 69 s, the focal length seems 25.0% too long" in fit.sentence
+    assert why_misfit(fit) == why_unsure(fit) == fit.sentence
+
+
+@pytest.mark.parametrize(("times", "within_s"), [(0, 0.0), (1, 2.0), (3, 90.0), (10, 600.0)])
+def test_a_few_contradictions_are_chance(times: int, within_s: float) -> None:
+    fit = fit_of(sigma=UNKNOWN)
+    assert contradicted(fit, times, within_s) == fit
+
+
+def test_what_windows_know_is_not_overruled_by_contradictions() -> None:
+    fits, misfits = fit_of(), fit_of(focal=0.95)
+    assert contradicted(fits, 12, 69.0) == fits and contradicted(misfits, 12, 69.0) == misfits
