@@ -54,6 +54,7 @@ ESTIMATED: dict[GuidedKind, str] = {
     "camera-imu": "camera and IMU",
     "wheels": "wheels",
     "imu": "IMU",
+    "check": "calibration's fit",
 }
 SESSION_RESTART_S = 1.0
 
@@ -437,6 +438,8 @@ async def _estimate(
 ) -> dict[str, Any]:
     """What a guided calibration comes to, from the pictures of these times or all that was recorded."""
     folder, target, camera = session.folder, session.target, session.told.camera
+    if session.kind == "check":
+        return await worker.call(LibraryProgram.check_calibration, folder)
     if target is None or camera is None:
         return await worker.call(LibraryProgram.calibrate_imu, folder)
     if session.kind == "camera":

@@ -7,7 +7,8 @@ from typing import Literal, Protocol
 
 from station.calibration.target import BoardView
 
-GuidedKind = Literal["camera", "camera-imu", "wheels", "imu"]
+GuidedKind = Literal["camera", "camera-imu", "wheels", "imu", "check"]
+WITHOUT_BOARD: tuple[GuidedKind, ...] = ("imu", "check")  # followed by the inertial unit alone
 MAX_BLUR_PX = 2.0
 MIN_CORNERS = 12
 

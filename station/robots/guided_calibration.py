@@ -16,7 +16,7 @@ from shared.calibration import Calibration
 from shared.disk import make_folder
 from shared.errors import DataError, RobotSystemError
 from shared.messages import CameraFrame, DriveApplied, Hello, ImuBatch, ImuSample
-from station.calibration.guidance import GuidedKind
+from station.calibration.guidance import WITHOUT_BOARD, GuidedKind
 from station.calibration.target import Target
 from station.errors import Conflict, NotCapable, Unknown
 from station.events import Latest, Notifier
@@ -39,12 +39,14 @@ SHOWN: dict[GuidedKind, str] = {
     "camera-imu": "camera and IMU are being calibrated; wave the robot before the board",
     "wheels": "the wheels are being measured; drive before the board",
     "imu": "the IMU is being measured; leave the robot alone",
+    "check": "the calibration is being checked; carry the robot about",
 }
 MUST_STAND: dict[GuidedKind, str] = {
     "camera": "somebody holds a board before the robot to calibrate it; finish that, or give it up",
     "camera-imu": "somebody holds the robot before a board to calibrate it; finish that, or give it up",
     "wheels": "",  # which are driven
     "imu": "the robot's IMU is being measured at rest; finish that, or give it up",
+    "check": "somebody carries the robot about to check its calibration; finish that, or give it up",
 }
 OTHER_RUN = "the robot was started anew, or another one was connected, or its calibration was changed; begin again"
 SessionState = Literal["looking", "estimating", "done", "failed"]
@@ -56,7 +58,7 @@ class CalibrationSession:
 
     id: str
     kind: GuidedKind
-    target: Target | None  # None: of an IMU alone
+    target: Target | None  # None: without a board
     folder: Path
     told: Calibration  # what the robot told when it began
     robot_id: str
@@ -90,7 +92,7 @@ class GuidedCalibration(LinkListeners):
         self._worker: Worker[CalibrationProgram, None] | None = None
         self._frames: Latest[CameraFrame] = Latest()
         self._looked_s = 0.0  # when the newest picture was looked at, monotonic
-        self._felt: list[ImuSample] = []  # where an IMU is measured: since it was felt last
+        self._felt: list[ImuSample] = []  # where no board is looked at: since they were felt last
         self._drive: list[DriveSample] = []  # where wheels are: since the last picture
         self._looking: asyncio.Task[None] | None = None
         self._ending: asyncio.Task[None] | None = None  # of what a failed session leaves
@@ -122,7 +124,7 @@ class GuidedCalibration(LinkListeners):
     async def start(self, hello: Hello, kind: GuidedKind, board: Target | PrintedBoard | None) -> CalibrationSession:
         """Begin to look and record; an earlier session is over. Raises Conflict, NotCapable, DataError.
 
-        `board`: None where the IMU alone is measured, which needs none.
+        `board`: None for a kind that needs none.
         """
         _require_able(hello, kind)
         if self.is_busy or (self.session is not None and self.session.state == "estimating"):
@@ -145,6 +147,8 @@ class GuidedCalibration(LinkListeners):
             await worker.start()
             if board is not None and told.camera is not None:
                 target = await worker.call(CalibrationProgram.begin, kind, board, told.camera)
+            else:
+                await worker.call(CalibrationProgram.begin_without_board, kind)
             session_id, folder = await asyncio.to_thread(self._make_folder)
             self._recorder = await asyncio.to_thread(self._make_recorder, folder / RECORDING)
             if beginning.is_void:
@@ -236,7 +240,7 @@ class GuidedCalibration(LinkListeners):
 
     def on_imu(self, batch: ImuBatch) -> None:
         super().on_imu(batch)
-        if self.session is not None and self.session.kind == "imu" and self._is_looking:
+        if self.session is not None and self.session.kind in WITHOUT_BOARD and self._is_looking:
             self._felt += batch.samples
 
     def on_drive_applied(self, applied: DriveApplied) -> None:
@@ -262,7 +266,7 @@ class GuidedCalibration(LinkListeners):
 
     async def _look_and_watch(self, worker: Worker[CalibrationProgram, None], kind: GuidedKind) -> None:
         why, longest_s = "", LONGEST_AT_REST_S if kind == "imu" else LONGEST_S
-        looking = asyncio.create_task(self._look_on(worker, self._feel if kind == "imu" else self._look))
+        looking = asyncio.create_task(self._look_on(worker, self._feel if kind in WITHOUT_BOARD else self._look))
         try:
             async with asyncio.timeout(longest_s):
                 while not looking.done() and not (why := "" if self._recorder is None else self._recorder.error):

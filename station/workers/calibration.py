@@ -1,4 +1,4 @@
-"""What runs in the worker that watches a calibration board, or an inertial unit that lies still."""
+"""What runs in the worker that watches a calibration board, or an inertial unit."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from station.calibration.imu.guide import StillGuide
 from station.calibration.meter import read_meter
 from station.calibration.target import BoardView, Target
 from station.calibration.target_page import page_target
+from station.calibration.targetless.guide import LivelyGuide
 from station.calibration.wheels_guide import WheelsGuide
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.workers.calibration_interface import BoardSeen, CalibrationProgram, MeterReading, PrintedBoard, Xyz
@@ -27,7 +28,7 @@ class BoardWatcher(CalibrationProgram):
 
     def __init__(self, emit: Callable[[None], None]) -> None:  # noqa: ARG002
         self._begun: tuple[Target, CameraCalibration, Finder, TargetGuide] | None = None
-        self._still = StillGuide()
+        self._feeling: StillGuide | LivelyGuide = StillGuide()
         self._meter: tuple[MeterReading, ...] = ()
         self._metered = 0  # how many views the meter has seen
 
@@ -35,6 +36,9 @@ class BoardWatcher(CalibrationProgram):
         target = page_target(board.kind, board.size) if isinstance(board, PrintedBoard) else board
         self._begun = (target, camera, make_finder(target), _make_guide(kind, target, camera))
         return target
+
+    def begin_without_board(self, kind: GuidedKind) -> None:
+        self._feeling = LivelyGuide() if kind == "check" else StillGuide()
 
     def look(self, frame: ImageFrame) -> BoardSeen:
         target, _, finder, guide = self._require()
@@ -48,7 +52,7 @@ class BoardWatcher(CalibrationProgram):
 
     def feel(self, t_robot_ns: list[int], gyro_imu: list[Xyz], accel_imu: list[Xyz]) -> BoardSeen:
         imu = ImuBatch(np.array(t_robot_ns), np.array(gyro_imu), np.array(accel_imu))
-        return self._seen(t_robot_ns[-1], None, self._still.feel(imu))
+        return self._seen(t_robot_ns[-1], None, self._feeling.feel(imu))
 
     def taken(self) -> list[int]:
         return [] if self._begun is None else [view.t_robot_ns for view in self._begun[3].views]

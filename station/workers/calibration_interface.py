@@ -31,7 +31,7 @@ class MeterReading:
 
 @dataclass(frozen=True, slots=True)
 class BoardSeen:
-    """What one picture shows of the board, and what to do next; or a second of an IMU that lies still, by itself."""
+    """What one picture shows of the board, and what to do next; or a second of an IMU, by itself."""
 
     t_robot_ns: int
     corners_px: tuple[tuple[float, float], ...]
@@ -54,11 +54,15 @@ class PrintedBoard:
 
 
 class CalibrationProgram(Program, ABC):
-    """Looks for the board in pictures and chooses those that count; or feels whether an IMU lies still."""
+    """Looks for the board in pictures and chooses those that count; or feels how an IMU lies or is carried."""
 
     @abstractmethod
     def begin(self, kind: GuidedKind, board: Target | PrintedBoard, camera: CameraCalibration) -> Target:
-        """The first request but for an IMU; returns the board with its numbers. `camera` as the robot tells it."""
+        """The first request where a board is shown; returns it with its numbers. `camera` as the robot tells it."""
+
+    @abstractmethod
+    def begin_without_board(self, kind: GuidedKind) -> None:
+        """The first request where there is none: how an inertial unit lies still, or is carried about."""
 
     @abstractmethod
     def look(self, frame: ImageFrame) -> BoardSeen:
@@ -70,7 +74,7 @@ class CalibrationProgram(Program, ABC):
 
     @abstractmethod
     def feel(self, t_robot_ns: list[int], gyro_imu: list[Xyz], accel_imu: list[Xyz]) -> BoardSeen:
-        """What a second of inertial samples says of its rest. The first request where an IMU is measured."""
+        """What a second of inertial samples says of its rest, or of how it is carried about."""
 
     @abstractmethod
     def taken(self) -> list[int]:

@@ -79,6 +79,10 @@ class LibraryProgram(Program, ABC):
         """The IMU's noise, from the folder's recording; result and plot are written there."""
 
     @abstractmethod
+    def check_calibration(self, folder: Path) -> dict[str, Any]:
+        """Whether what the robot tells fits the folder's recording; the result, repaired, is written there."""
+
+    @abstractmethod
     def target_page(self, kind: TargetKind, size: PaperSize) -> bytes:
         """A target to print that fills a page, as PDF."""
 

@@ -14,6 +14,7 @@ from station.calibration.camera_imu.guided import estimate_camera_imu
 from station.calibration.guided import estimate_camera, store_result
 from station.calibration.imu.guided import estimate_imu
 from station.calibration.target import Target, TargetKind
+from station.calibration.targetless.guided import estimate_check
 from station.calibration.wheels_guided import estimate_wheels
 from station.datasets import open_dataset
 from station.files.navigation_folder import PICTURES, load_navigation, save_navigation
@@ -136,6 +137,11 @@ class LibraryJobs(LibraryProgram):
 
     def calibrate_imu(self, folder: Path) -> dict[str, Any]:
         result = estimate_imu(folder / RECORDING, folder / RESIDUALS, self._progress)
+        store_result(result, folder / RESULT)
+        return result
+
+    def check_calibration(self, folder: Path) -> dict[str, Any]:
+        result = estimate_check(folder / RECORDING, self._progress)
         store_result(result, folder / RESULT)
         return result
 

@@ -111,6 +111,25 @@ async def test_wheels_are_measured_while_the_robot_drives_and_an_imu_without_a_b
         assert set(seen["poses"]) == {"time"} and not seen["may_finish"]
 
 
+async def test_a_check_needs_no_board_and_says_what_a_robot_that_was_not_carried_about_lacks(tmp_path: Path) -> None:
+    async with before_a_board(tmp_path) as (desk, _, _):
+        http = desk.http
+        assert is_problem(await http.post("/calibration/sessions", json=ORDER | {"kind": "check"}), 422)
+        begun = await http.post("/calibration/sessions", json={"kind": "check"})
+        assert begun.status_code == 201, begun.text
+        path = f"/calibration/sessions/{begun.json()['id']}"
+        seen = (await wait_for(desk, path, lambda s: s["seen"] is not None))["seen"]
+        assert set(seen["poses"]) == {"roll", "tilt", "turn", "time"} and not seen["may_finish"]
+        refused = await http.post("/drive", json={"linear": 0.1, "angular": 0.0, "ttl_ms": 1000})
+        assert is_problem(refused, 409) and "carries the robot" in refused.json()["detail"]
+        job = (await http.post(f"{path}/finish")).json()
+        done = await wait_for(desk, f"/jobs/{job['id']}", lambda j: j["state"] != "running")
+        assert done["state"] == "done", done["message"]
+        over = (await http.get(path)).json()
+        assert over["state"] == "done" and not over["mounting"]["accepted"] and over["mounting"]["reasons"]
+        assert is_problem(await http.post("/calibration/use", json={"session": begun.json()["id"]}), 409)
+
+
 async def test_no_other_station_drives_while_a_board_is_held_before_the_robot(tmp_path: Path) -> None:
     async with before_a_board(tmp_path) as (desk, bench, _), linked(bench.port, "other") as (other, notes):
         begun = (await desk.http.post("/calibration/sessions", json=ORDER)).json()

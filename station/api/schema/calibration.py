@@ -12,7 +12,7 @@ from shared.calibration_yaml import calibration_text
 from shared.errors import ConfigError
 from station.api.schema.base import Model, Number, Question
 from station.api.schema.robot import CalibrationFitModel, calibration_fit_model
-from station.calibration.guidance import GuidedKind
+from station.calibration.guidance import WITHOUT_BOARD, GuidedKind
 from station.calibration.target import Target
 from station.errors import Conflict, NoRobot, OutOfRange
 from station.robots.guided_calibration import CalibrationSession
@@ -135,13 +135,13 @@ class TargetOrder(Question):
 class SessionOrder(Question):
     kind: GuidedKind = "camera"
     target: TargetOrder | None = Field(
-        default=None, description="none for kind imu", examples=[{"kind": "aprilgrid", "size": "A4"}]
+        default=None, description="none for kinds imu and check", examples=[{"kind": "aprilgrid", "size": "A4"}]
     )
 
     @model_validator(mode="after")
     def _has_a_board(self) -> Self:
-        if (self.target is None) != (self.kind == "imu"):
-            raise ValueError("give the board that is shown, or none for kind imu")
+        if (self.target is None) != (self.kind in WITHOUT_BOARD):
+            raise ValueError("give the board that is shown, or none for kinds imu and check")
         return self
 
 
@@ -168,7 +168,8 @@ class BoardSeenModel(Model):
     )
     poses: dict[str, float] = Field(
         description="how many of the wanted views of each pose there are, 0..1; for camera-imu tilt, turn, roll, "
-        "distance and time: how much of each wanted motion; for wheels forth, back, left, right; for imu time at rest"
+        "distance and time: how much of each wanted motion; for wheels forth, back, left, right; for imu time at rest; "
+        "for check roll, tilt, turn, time"
     )
     meter: list[MeterModel]
     may_finish: bool = Field(description="there may be enough to estimate from")
@@ -222,7 +223,9 @@ class MountingResult(Model):
     distortion: list[float] | None
     accepted: bool
     reasons: list[str]
-    notes: list[str] = Field(description="what was not used of the recording")
+    notes: list[str] = Field(
+        description="what was not used of the recording; of kind check what fits and what does not"
+    )
 
 
 class FactorResult(Model):
@@ -295,7 +298,7 @@ class CalibrationSessionModel(Model):
     seen: BoardSeenModel | None = Field(description="the newest picture that was looked at")
     job: str = Field(description="that estimates; empty: not yet")
     result: CameraResult | None = Field(description="of kind camera")
-    mounting: MountingResult | None = Field(description="the result of kind camera-imu")
+    mounting: MountingResult | None = Field(description="the result of kinds camera-imu and check")
     wheels: WheelsResult | None = Field(description="the result of kind wheels")
     imu: ImuResult | None = Field(description="the result of kind imu")
     is_used: bool = Field(description="the robot tells this result now")
@@ -326,10 +329,10 @@ def session_model(session: CalibrationSession, robot: RobotSession) -> Calibrati
         session,
         resolution=[] if camera is None else [camera.width, camera.height],
         seen=None if seen is None else _seen_model(seen),
-        result=_result(session, "camera", CameraResult),
-        mounting=_result(session, "camera-imu", MountingResult),
-        wheels=_result(session, "wheels", WheelsResult),
-        imu=_result(session, "imu", ImuResult),
+        result=_result(session, CameraResult, "camera"),
+        mounting=_result(session, MountingResult, "camera-imu", "check"),
+        wheels=_result(session, WheelsResult, "wheels"),
+        imu=_result(session, ImuResult, "imu"),
         is_used=hello is not None and _is_used(session, hello.calibration),
         recording=f"/calibration/sessions/{session.id}/{RECORDING}",
     )
@@ -338,9 +341,9 @@ def session_model(session: CalibrationSession, robot: RobotSession) -> Calibrati
 Result = TypeVar("Result", bound=Model)
 
 
-def _result(session: CalibrationSession, kind: GuidedKind, model: type[Result]) -> Result | None:
-    """What a session of that kind came to."""
-    return None if session.result is None or session.kind != kind else model.model_validate(session.result)
+def _result(session: CalibrationSession, model: type[Result], *kinds: GuidedKind) -> Result | None:
+    """What a session of one of these kinds came to."""
+    return None if session.result is None or session.kind not in kinds else model.model_validate(session.result)
 
 
 def _seen_model(seen: BoardSeen) -> BoardSeenModel:
@@ -379,16 +382,16 @@ def order_of_result(session: CalibrationSession) -> CalibrationOrder:
         raise Conflict(f"this calibration has no result ({session.message or session.state})")
     if not session.result["accepted"]:
         raise Conflict(f"this result is not good enough: {'; '.join(session.result['reasons'])}")
-    if (lens := _result(session, "camera", CameraResult)) is not None:
+    if (lens := _result(session, CameraResult, "camera")) is not None:
         return CalibrationOrder(camera=_lens_order(lens))
-    if (mounting := _result(session, "camera-imu", MountingResult)) is not None:
+    if (mounting := _result(session, MountingResult, "camera-imu", "check")) is not None:
         placed = {"T_body_cam": mounting.T_body_cam, "time_shift_s": mounting.time_shift_s}
         return CalibrationOrder(camera=_lens_order(mounting).model_copy(update=placed))
-    if (wheels := _result(session, "wheels", WheelsResult)) is not None and wheels.speed and wheels.turn:
+    if (wheels := _result(session, WheelsResult, "wheels")) is not None and wheels.speed and wheels.turn:
         before = session.told.wheel_factors  # what the robot drove with
         turn = before.turn * wheels.turn.value
         return CalibrationOrder(wheels=WheelsOrder(speed=before.speed * wheels.speed.value, turn=turn))
-    if (imu := _result(session, "imu", ImuResult)) is not None and imu.used is not None:
+    if (imu := _result(session, ImuResult, "imu")) is not None and imu.used is not None:
         return CalibrationOrder(imu=ImuOrder(**imu.used.model_dump(exclude={"rate_hz"})))
     raise Conflict("this result holds no number that the robot could tell")
 

@@ -11,10 +11,8 @@ from shared.errors import DataError
 from station.calibration.camera_imu.calibrate import calibrate_camera_imu
 from station.calibration.camera_imu.page import write_camera_imu_page
 from station.calibration.camera_imu.recording import open_thinned, read_recording
+from station.calibration.guided_steps import DRAWING, GuidedSteps
 from station.calibration.target import Target
-
-LOOKING, ESTIMATING, DRAWING = 0.02, 0.5, 0.95  # how much is done when that begins
-USUAL_STEPS = 12  # of the estimate
 
 
 def estimate_camera_imu(
@@ -25,7 +23,7 @@ def estimate_camera_imu(
     Where that comes to an estimate, a plot of what is left over is written as PNG.
     Raises DataError: the recording has no images.
     """
-    steps = _Steps(progress)
+    steps = GuidedSteps(progress)
     data = open_thinned(recording)
     if not data.has_images:
         raise DataError("nothing was recorded of the camera; see to its cable, and begin again")
@@ -34,23 +32,3 @@ def estimate_camera_imu(
         progress(DRAWING, "drawing what is left over")
         write_camera_imu_page(found.solution, plot)
     return found.results() | {"model": told.model, "resolution": [told.width, told.height]}
-
-
-class _Steps:
-    """How much is done, for a bar that fills once."""
-
-    def __init__(self, progress: Callable[[float, str], None]) -> None:
-        self._progress = progress
-        self._description, self._total, self._done, self._steps = "reading the recording", 1, 0, 0
-
-    def step(self, description: str, total: int | None = None) -> None:
-        self._description, self._total, self._done = description, total or 1, 0
-        self._progress(LOOKING, description)
-
-    def advance(self) -> None:
-        self._done += 1
-        self._progress(LOOKING + (ESTIMATING - LOOKING) * self._done / self._total, self._description)
-
-    def estimate(self, description: str) -> None:
-        self._steps = min(self._steps + 1, USUAL_STEPS)
-        self._progress(ESTIMATING + (DRAWING - ESTIMATING) * self._steps / USUAL_STEPS, description)

@@ -7,20 +7,16 @@ from pathlib import Path
 from typing import Annotated
 
 import msgspec
-import numpy as np
 import typer
 
-from shared.calibration import Calibration, ImuNoise
 from shared.calibration_yaml import as_calibration, calibration_text
 from shared.disk import replacing
-from shared.errors import DataError
-from shared.sensor_yaml import CONSUMER_IMU, read_yaml
-from station.calibration import CALIBRATE_CAMERA
-from station.calibration.targetless.check import CalibrationCheck, LivelyRecording, check_calibration
+from shared.sensor_yaml import read_yaml
+from station.calibration.targetless.check import CalibrationCheck, check_calibration
+from station.calibration.targetless.recording import lively
 from station.commands.options import Json, check_out_file
 from station.commands.progress import working
-from station.datasets import Dataset, open_dataset
-from station.model.frames import ImuBatch
+from station.datasets import open_dataset
 
 REFUSED = 2  # exit code
 
@@ -54,24 +50,6 @@ def check(
     print(json.dumps(found.results()) if as_json else summary(found, out))
     if not found.is_accepted:
         raise typer.Exit(REFUSED)
-
-
-def lively(data: Dataset, known: Calibration, where: Path) -> LivelyRecording:
-    """A dataset as what is checked. Raises DataError: it has no images, or its lens is not known."""
-    if data.read_frames is None:
-        raise DataError(f"{data.path} holds no images; record the camera as well")
-    if known.camera is None or not known.camera.is_measured:
-        raise DataError(f"{where}: the lens is not known; {CALIBRATE_CAMERA} first, and give --calibration")
-    empty = ImuBatch(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
-    return LivelyRecording(
-        frame_times_ns=data.frame_times_ns,
-        read_frames=data.read_frames,
-        imu=data.imu or empty,
-        camera=known.camera,
-        noise=known.imu or data.calibration.imu or ImuNoise(**CONSUMER_IMU, rate_hz=200.0),
-        gravity=known.gravity,
-        drive=tuple(data.drive),
-    )
 
 
 def summary(found: CalibrationCheck, out: Path) -> str:

@@ -90,11 +90,30 @@ export const GUIDED: Record<Kind, Guided> = {
     bars: [["time", "at rest"]],
     looks: false,
   },
+  check: {
+    title: "Check the calibration",
+    what: "Check: does it still fit? Without a board",
+    next: "check",
+    steps: [
+      "Do this when the robot was knocked, or when its drives say that the calibration does not fit. The camera's lens must have been calibrated once.",
+      "Take the robot into your hand where there is something to see, in good light; nothing else should move.",
+      "Carry it about for half a minute: tilt it, turn it and roll it, as the page says.",
+    ],
+    beginning: "Take the robot into your hand",
+    estimating: "The calibration is being checked",
+    bars: [
+      ["tilt", "up, down"],
+      ["turn", "left, right"],
+      ["roll", "roll"],
+      ["time", "time"],
+    ],
+    looks: false,
+  },
 };
 
 const ORDER: Kind[] = ["camera", "camera-imu", "wheels", "imu"];
 
-export const CHOICES: [Kind, string][] = ORDER.map((kind) => [kind, GUIDED[kind].what]);
+export const CHOICES: [Kind, string][] = [...ORDER, "check" as const].map((kind) => [kind, GUIDED[kind].what]);
 
-/** What is calibrated after this; null: nothing. */
-export const after = (kind: Kind): Kind | null => ORDER[ORDER.indexOf(kind) + 1] ?? null;
+/** What is calibrated after this; null: nothing. A check stands for itself. */
+export const after = (kind: Kind): Kind | null => (kind === "check" ? null : (ORDER[ORDER.indexOf(kind) + 1] ?? null));

@@ -51,7 +51,7 @@ export interface BoardSeenModel {
   num_views: number;
   /** how full each of the 3x3 cells of the picture is, 0..1, by rows; only for kind camera */
   cells: number[];
-  /** how many of the wanted views of each pose there are, 0..1; for camera-imu tilt, turn, roll, distance and time: how much of each wanted motion; for wheels forth, back, left, right; for imu time at rest */
+  /** how many of the wanted views of each pose there are, 0..1; for camera-imu tilt, turn, roll, distance and time: how much of each wanted motion; for wheels forth, back, left, right; for imu time at rest; for check roll, tilt, turn, time */
   poses: Record<string, number>;
   meter: MeterModel[];
   /** there may be enough to estimate from */
@@ -110,7 +110,7 @@ export interface CalibrationOrder {
 /** A guided calibration, as far as it is. */
 export interface CalibrationSessionModel {
   id: string;
-  kind: "camera" | "camera-imu" | "wheels" | "imu";
+  kind: "camera" | "camera-imu" | "wheels" | "imu" | "check";
   state: "looking" | "estimating" | "done" | "failed";
   /** why it failed, in a sentence */
   message: string;
@@ -122,7 +122,7 @@ export interface CalibrationSessionModel {
   job: string;
   /** of kind camera */
   result: CameraResult | null;
-  /** the result of kind camera-imu */
+  /** the result of kinds camera-imu and check */
   mounting: MountingResult | null;
   /** the result of kind wheels */
   wheels: WheelsResult | null;
@@ -570,7 +570,7 @@ export interface MountingResult {
   distortion: number[] | null;
   accepted: boolean;
   reasons: string[];
-  /** what was not used of the recording */
+  /** what was not used of the recording; of kind check what fits and what does not */
   notes: string[];
 }
 
@@ -902,8 +902,8 @@ export interface SessionModel {
 }
 
 export interface SessionOrder {
-  kind: "camera" | "camera-imu" | "wheels" | "imu";
-  /** none for kind imu */
+  kind: "camera" | "camera-imu" | "wheels" | "imu" | "check";
+  /** none for kinds imu and check */
   target: TargetOrder | null;
 }
 
