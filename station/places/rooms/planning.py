@@ -8,17 +8,24 @@ from itertools import count
 
 from station.model.floor_plan import FloorPlan
 from station.model.place_map import PlaceMap
+from station.places.rooms.gathering import gathered
 from station.places.rooms.place_names import named_by_rooms
 
 
 def planned(place_map: PlaceMap, earlier: PlaceMap | None = None) -> PlaceMap:
-    """The map with its floor plan. Rooms keep the ids and names that they had in it, or in an `earlier` map of the same
-    frame, and so does what people made of them.
+    """The map with its floor plan, and with its places by room where it is of that grain.
+
+    Rooms keep the ids and names that they had in it, or in an `earlier` map of the same frame, and so does what people
+    made of them.
     """
     from station.places.rooms.plan import make_floor_plan  # SciPy, which a station needs only once somebody edits doors
 
     before = place_map if earlier is None else earlier
     plan = make_floor_plan(place_map.navigation, place_map.places, before.plan_edits, before.plan)
+    if place_map.grain == "rooms":
+        place_map = gathered(place_map, plan.room_of_place)
+        ids = {place.id for place in place_map.places}
+        plan = replace(plan, room_of_place={id: room for id, room in plan.room_of_place.items() if id in ids})
     return with_plan(replace(place_map, plan_edits=before.plan_edits), plan)
 
 
