@@ -32,7 +32,7 @@ from station.library.place_changes import PlacesChange
 from station.library.recordings import recover_recordings, retain_recordings
 from station.model.floor_plan import Room
 from station.model.map_store import MapSummary, StoreAddress
-from station.model.place_map import Place
+from station.model.place_map import Place, PlaceGrain
 from station.places.making.config import PlacesMode
 from station.recordings.recorder import Recorder
 from station.robots.guided_calibration import CalibrationSession
@@ -177,7 +177,9 @@ class Station:
         """Give up what SLAM still computes of a navigation whose recording has ended. Raises Unknown, Conflict."""
         return self._robot_of(self.navigations.get(navigation_id)).current_navigation.cancel(navigation_id)
 
-    def build_map(self, navigation_ids: list[str], name: str, mode: PlacesMode | None, activate: bool) -> Job:
+    def build_map(
+        self, navigation_ids: list[str], name: str, mode: PlacesMode | None, activate: bool, places: PlaceGrain
+    ) -> Job:
         """Places from finished navigations, in the background. Raises Unknown, Conflict."""
         navigations = [self.navigations.ready(navigation_id) for navigation_id in dict.fromkeys(navigation_ids)]
         folders = [self.navigations.library.navigation_folder(navigation.id) for navigation in navigations]
@@ -185,7 +187,8 @@ class Station:
 
         async def work(worker: JobWorker[LibraryProgram]) -> dict[str, Any]:
             address, executor = self.maps.address, self.config.executor
-            built = await worker.call(LibraryProgram.build_map, folders, address, name or title, mode, executor)
+            order = folders, address, name or title, mode, executor, places
+            built = await worker.call(LibraryProgram.build_map, *order)
             self.events.changed("map")
             with contextlib.suppress(RobotSystemError):  # the map is there; localisation makes what is missing
                 await worker.call(LibraryProgram.index_map, folders, address)

@@ -28,7 +28,7 @@ async def maps(station: StationDep) -> list[MapModel]:
 @router.post("/maps", summary="Build a map from navigations", status_code=202, responses=responses(404, 409))
 async def build(order: MapOrder, station: StationDep) -> JobModel:
     """Runs in the background: follow GET /jobs/{id}, whose result names the map; DELETE /jobs/{id} cancels."""
-    return JobModel.of(station.build_map(order.navigations, order.name, order.mode, order.activate))
+    return JobModel.of(station.build_map(order.navigations, order.name, order.mode, order.activate, order.places))
 
 
 @router.put("/maps/active", summary="Choose the map in use, or several", responses=responses(404, 409))

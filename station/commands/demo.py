@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from station.commands.options import Places
 from station.config import check_backend
 
 
@@ -30,6 +31,7 @@ def demo(
     backend: Annotated[
         str | None, typer.Option(help="SLAM: auto, ukf, smoothing, sfm or mono; without it the station's own.")
     ] = None,
+    places: Places = "rooms",
     out: Annotated[Path, typer.Option(help="Folder for results.json, logs and data.")] = Path("demo"),
 ) -> None:
     """Simulated robot, robot-server and station: map, hijack, drive again, and name the place."""
@@ -44,7 +46,7 @@ def demo(
 
     signal.signal(signal.SIGTERM, _interrupt)  # like Ctrl-C: the robot's motors stop before anything else ends
     try:
-        passed = run_demo(DemoOptions(seed, once, port, world, backend, out), say)
+        passed = run_demo(DemoOptions(seed, once, port, world, backend, out, places), say)
     except KeyboardInterrupt:
         say("interrupted; everything is stopped")
         sys.exit(130)

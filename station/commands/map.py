@@ -14,7 +14,7 @@ import typer
 from shared.errors import DataError
 from station.commands import map_store
 from station.commands.map_store import MapArgument, open_map
-from station.commands.options import Config, Data, Mode, check_out_folder
+from station.commands.options import Config, Data, Mode, Places, check_out_folder
 from station.commands.progress import Bar, working
 from station.config import check_backend, check_executor
 from station.datasets import open_dataset
@@ -55,6 +55,7 @@ def build(
     mode: Mode = "default",
     eps: Annotated[float, typer.Option(help="Thesis mode: DBSCAN's eps, m or normalised.")] = 0.3,
     min_pts: Annotated[int, typer.Option(help="Thesis mode: DBSCAN's MinPts.")] = 11,
+    places: Places = "rooms",
     names_from: Annotated[Path | None, typer.Option(help="An earlier map of the first one: keeps its names.")] = None,
     executor: Annotated[
         str, typer.Option(help="processes (of this machine) or dask://HOST:PORT of a Dask scheduler.")
@@ -80,7 +81,8 @@ def build(
         if old is not None:
             check_names_source(old, loaded, names_from)
         bar.step("joining navigations" if len(loaded) > 1 else "clustering landmarks")
-        place_map = machines.map(make_map, [MapOfNavigations(tuple(loaded), config, name)])[0]
+        made = machines.map(make_map, [MapOfNavigations(tuple(loaded), config, name)])[0]
+        place_map = made.with_grain(places)
         if old is not None:
             place_map = keep_places(old, place_map)
         bar.step("looking for rooms and doors")

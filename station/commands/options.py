@@ -21,6 +21,10 @@ Json = Annotated[bool, typer.Option("--json", help="End with one JSON object on 
 Mode = Annotated[
     Literal["thesis", "default"], typer.Option(help="Of clustering; a navigation is matched as its map was built.")
 ]
+Places = Annotated[
+    Literal["rooms", "fine"],
+    typer.Option(help="At most six in each room, or every cluster of landmarks (as in thesis mode always)."),
+]
 AlignBy = Annotated[
     Literal["both", "geometry", "appearance"], typer.Option(help="Default mode: what registration sees.")
 ]

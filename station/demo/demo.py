@@ -23,6 +23,7 @@ from station.demo.station_client import StationClient
 from station.files.navigation_folder import load_navigation
 from station.model.navigation import Trajectory
 from station.model.place_answer import where
+from station.model.place_map import PlaceGrain
 
 START_TIMEOUT_S = 90.0  # the first start of a flat bakes its textures
 DRIVE_TIMEOUT_S = 240.0
@@ -43,6 +44,7 @@ class DemoOptions:
     world: str
     backend: str | None
     out: Path
+    places: PlaceGrain = "rooms"
 
 
 @dataclass(slots=True)
@@ -227,14 +229,16 @@ def wait_for_slam(demo: Demo, name: str, navigation: str) -> None:
 
 def build_map(demo: Demo, navigation: str) -> list[dict[str, Any]]:
     """Cluster the landmarks into places and use the map."""
-    job = demo.station.call("POST", "/maps", {"navigations": [navigation], "name": "Demo flat"})["id"]
+    order = {"navigations": [navigation], "name": "Demo flat", "places": demo.options.places}
+    job = demo.station.call("POST", "/maps", order)["id"]
     wait_until_over(demo, "the map", f"/jobs/{job}", MAP_TIMEOUT_S)
     wait_for(demo.programs, "the map to be active", lambda: bool(demo.station.get("/places")), MAP_TIMEOUT_S)
     places: list[dict[str, Any]] = demo.station.get("/places")
     demo.say(f"map with {len(places)} places:")
+    width = max(len(place["name"]) for place in places)
     for place in places:
         x, y, _ = place["centroid_map"]
-        demo.say(f"    {place['name']:12s} {place['landmarks']:5d} landmarks at ({x:+.1f}, {y:+.1f}) m")
+        demo.say(f"    {place['name']:{width}s} {place['landmarks']:5d} landmarks at ({x:+.1f}, {y:+.1f}) m")
     name_rooms(demo)
     named: list[dict[str, Any]] = demo.station.get("/places")  # called after their rooms' names
     return named

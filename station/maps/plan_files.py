@@ -70,6 +70,7 @@ def decode_plan(content: Mapping[str, Any]) -> PlanRecord | None:
     shapes += [(room.middle, (2,)) for room in plan.rooms] + [(door.ends, (2, 2)) for door in plan.doors]
     shapes += [(line, (2, 2)) for line in (*plan.edits.doors_drawn, *plan.edits.doors_erased)]
     shapes += [(s.corners_px, (4, 2)) for s in plan.suggestions if s.corners_px is not None]
+    shapes += [(s.p_map, (3,)) for s in plan.suggestions if s.p_map is not None]
     if any(values.shape != shape for values, shape in shapes):
         raise ValueError("an array of its floor plan has another shape")
     numbers = [plan.cell, plan.unit, *(room.area for room in plan.rooms), *(s.confidence for s in plan.suggestions)]

@@ -10,6 +10,7 @@ from station.model.floor_plan import FloorPlan, NameSuggestion, PlanEdits
 from station.model.navigation import Navigation
 
 EdgeKind = Literal["seen together", "driven between", "nearest"]
+PlaceGrain = Literal["rooms", "fine"]  # a few places in each room, or every cluster of landmarks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,6 +53,17 @@ class PlaceMap:
     plan: FloorPlan | None = None  # None: made before maps had plans, or of nothing that shows a floor
     plan_edits: PlanEdits = field(default_factory=PlanEdits)
     suggestions: tuple[NameSuggestion, ...] = ()  # of names for its rooms, found when it was made
+
+    @property
+    def grain(self) -> PlaceGrain:
+        """What its places are; maps from before there was a choice are fine."""
+        return "rooms" if self.config.get("places") == "rooms" else "fine"
+
+    def with_grain(self, grain: PlaceGrain) -> PlaceMap:
+        """The map, whose places are to be these; those of the thesis mode are its clusters and nothing else."""
+        config = {key: value for key, value in self.config.items() if key != "places"}
+        chosen = {"places": "rooms"} if grain == "rooms" and config.get("mode") != "thesis" else {}
+        return replace(self, config=config | chosen)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,6 +11,7 @@ from shared.calibration import CameraCalibration
 from station.calibration.target import Target, TargetKind
 from station.model.map_store import StoreAddress
 from station.model.navigation import NavigationReport
+from station.model.place_map import PlaceGrain
 from station.places.making.config import PlacesMode
 from station.workers.calibration_interface import PaperSize
 from station.workers.request import Program, ProgramName
@@ -38,7 +39,13 @@ class LibraryProgram(Program, ABC):
 
     @abstractmethod
     def build_map(
-        self, folders: list[Path], address: StoreAddress, name: str, mode: PlacesMode | None, executor: str = ""
+        self,
+        folders: list[Path],
+        address: StoreAddress,
+        name: str,
+        mode: PlacesMode | None,
+        executor: str = "",
+        places: PlaceGrain = "rooms",
     ) -> BuiltMap:
         """Navigation folders -> a map in the store. Places of an earlier map of the first one stay."""
 

@@ -22,7 +22,7 @@ from station.files.unwritable import cannot_write, why_unwritable
 from station.maps.store import MapStore
 from station.model.map_store import StoreAddress
 from station.model.navigation import Navigation, NavigationReport
-from station.model.place_map import PlaceMap
+from station.model.place_map import PlaceGrain, PlaceMap
 from station.model.slam_update import SlamUpdate
 from station.places.joining.growing import keep_places
 from station.places.joining.merge import merge_navigations
@@ -48,7 +48,13 @@ class LibraryJobs(LibraryProgram):
         self._built: PlaceMap | None = None
 
     def build_map(
-        self, folders: list[Path], address: StoreAddress, name: str, mode: PlacesMode | None, executor: str = ""
+        self,
+        folders: list[Path],
+        address: StoreAddress,
+        name: str,
+        mode: PlacesMode | None,
+        executor: str = "",
+        places: PlaceGrain = "rooms",
     ) -> BuiltMap:
         store = MapStore(address)
         store.require_writable()  # before the work
@@ -57,7 +63,7 @@ class LibraryJobs(LibraryProgram):
         config = PlacesConfig() if mode is None else PlacesConfig(mode=mode)
         if len(navigations) > 1:
             self._emit(Progress(0.1, f"registering {_count(len(navigations) - 1, 'navigation')} to the first one"))
-        place_map = self._map_of(navigations, config, name, executor)
+        place_map = self._map_of(navigations, config, name, executor).with_grain(places)
         self._emit(Progress(0.7, "finding rooms and doors"))
         first = navigations[0].id
         draft = _taking_over(place_map, store.newest_of_navigation(first))

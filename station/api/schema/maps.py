@@ -11,6 +11,7 @@ from station.config import MAX_ACTIVE_MAPS
 from station.library.active_maps import ActiveMaps
 from station.model.best_camera import misfit_of
 from station.model.map_store import MapSummary
+from station.model.place_map import PlaceGrain
 
 
 class MapModel(Model):
@@ -33,6 +34,10 @@ class MapOrder(Question):
     navigations: list[str] = Field(min_length=1, max_length=20, examples=[["nav-20260105-101500"]])
     name: str = Field(default="", max_length=80, examples=["Flat"])
     mode: Literal["default", "thesis"] | None = None
+    places: PlaceGrain = Field(
+        default="rooms",
+        description="at most six in each room, or every cluster of landmarks (in thesis mode always)",
+    )
     activate: bool = Field(default=True, description="use the map as soon as it is built")
 
 

@@ -18,6 +18,7 @@ from station.places.making.build import carry_names, describe_clusters, named_af
 from station.places.making.changes import regrouped
 from station.places.making.clusters import MIN_LANDMARKS, NOISE, Clusters
 from station.places.making.config import PlacesConfig
+from station.places.making.names import NAME_PREFIX
 
 MIN_NEW = 0.5  # of a group's landmarks outside the earlier places: less is the blurred edge of one of them
 
@@ -25,24 +26,44 @@ MIN_NEW = 0.5  # of a group's landmarks outside the earlier places: less is the 
 def keep_places(earlier: PlaceMap, new: PlaceMap) -> PlaceMap:
     """`new` with the places of `earlier` where it holds the same navigations and further ones; else with their names.
 
-    In the thesis mode names are all that is kept: its places are the clusters of the cloud and nothing else.
+    In the thesis mode names are all that is kept: its places are the clusters of the cloud and nothing else. Where
+    places are to be gathered by rooms, `new` still has every cluster; what nobody named of an earlier such map is
+    gathered anew.
     """
-    if _adds_navigations(earlier, new):
-        return _grown(earlier, new)
+    kept = _kept(earlier, new)
+    if earlier.grain == new.grain:
+        return kept
+    numbered = enumerate(kept.places, start=1)  # the numbers that places had are of others
+    return replace(kept, places=tuple(p if p.named else replace(p, name=f"{NAME_PREFIX}{n}") for n, p in numbered))
+
+
+def _kept(earlier: PlaceMap, new: PlaceMap) -> PlaceMap:
+    if _begins_with(earlier, new) and (earlier.grain == "fine" or new.grain == "rooms"):
+        if len(earlier.navigation.landmarks) < len(new.navigation.landmarks):
+            return _grown(earlier, new)
+        if earlier.grain == "rooms":
+            return _gathered_again(earlier, new)
     return carry_names(earlier, new)
 
 
-def _adds_navigations(earlier: PlaceMap, new: PlaceMap) -> bool:
-    """Whether the landmarks of `earlier` are the first ones of `new`, which has more and was grouped alike."""
+def _begins_with(earlier: PlaceMap, new: PlaceMap) -> bool:
+    """Whether the landmarks of `earlier` are the first ones of `new`, which was grouped alike but for its grain."""
     first, p = earlier.navigation.landmarks.p_world, new.navigation.landmarks.p_world
-    configs = [{key: value for key, value in m.config.items() if key != "effective"} for m in (earlier, new)]
+    configs = [{k: v for k, v in m.config.items() if k not in ("effective", "places")} for m in (earlier, new)]
     return (
         bool(earlier.places)
         and configs[0] == configs[1]
         and new.config.get("mode") == "default"
-        and len(first) < len(p)
         and np.array_equal(first, p[: len(first)], equal_nan=True)
     )
+
+
+def _gathered_again(earlier: PlaceMap, new: PlaceMap) -> PlaceMap:
+    """Of the same landmarks: the places that a person named or hid as they are, and the clusters of all others."""
+    touched = tuple(place for place in earlier.places if place.named or place.hidden)
+    kept = _grown(replace(earlier, places=touched), new) if touched else new
+    names = {place.id: place.name for place in earlier.places}
+    return replace(kept, places=tuple(replace(p, name=names.get(p.id, p.name)) for p in kept.places))
 
 
 def _grown(earlier: PlaceMap, new: PlaceMap) -> PlaceMap:

@@ -109,18 +109,26 @@ def named_after(old: PlaceMap, new: PlaceMap, inherited: Mapping[int, Place]) ->
     """`new` with the ids and names of the places of `old` that its places (by number) inherit; one-to-one."""
     numbers = iter(range(_last_number(old.places) + 1, _last_number(old.places) + len(new.places) + 1))
     renamed: dict[str, str] = {}
+    # A place whose id another one inherits, as from places that a person made one, gets the id which that one leaves.
+    left = {source.id: new.places[j].id for j, source in inherited.items()}
     places = []
     for j, place in enumerate(new.places):
         source = inherited.get(j)
-        new_id = source.id if source else place.id
+        new_id = source.id if source else _follow(left, place.id)
         renamed[place.id] = new_id
         if source is None:
-            places.append(replace(place, name=f"{NAME_PREFIX}{next(numbers)}"))
+            places.append(replace(place, id=new_id, name=f"{NAME_PREFIX}{next(numbers)}"))
         else:
             places.append(replace(place, id=source.id, name=source.name, named=source.named, hidden=source.hidden))
     edges = tuple(replace(edge, a=renamed[edge.a], b=renamed[edge.b]) for edge in new.edges)
     named = replace(new, places=tuple(places), edges=edges)
     return regrouped(named, named.places) if any(place.hidden for place in places) else named
+
+
+def _follow(left: Mapping[str, str], place_id: str) -> str:
+    while place_id in left:
+        place_id = left[place_id]
+    return place_id
 
 
 def _last_number(places: Sequence[Place]) -> int:

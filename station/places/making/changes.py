@@ -10,7 +10,7 @@ import numpy as np
 from shared.errors import DataError
 from station.model.place_map import Place, PlaceMap
 from station.places.making.graph import place_edges
-from station.places.making.place_images import images_of_place, observing_keyframes
+from station.places.making.place_images import keyframes_shown, make_place_images, observing_keyframes
 
 
 def without_hidden(place_map: PlaceMap) -> PlaceMap:
@@ -38,23 +38,36 @@ def with_places_merged(place_map: PlaceMap, place_ids: Sequence[str]) -> PlaceMa
     found = _find(place_map, place_ids)
     if len({place.id for place in found}) < 2:
         raise DataError("two different places are needed to merge them; GET /places lists them")
-    merged = _joined(place_map, found)
-    gone = {place.id for place in found[1:]}
+    return joined(place_map, [found])
+
+
+def joined(place_map: PlaceMap, groups: Sequence[Sequence[Place]]) -> PlaceMap:
+    """The map with each group of its places as one, which keeps id and name of the first; shown if any of them is."""
+    merged = {group[0].id: _one_of(place_map, group) for group in groups if len(group) > 1}
+    if not merged:
+        return place_map
+    gone = {place.id for group in groups for place in group[1:]}
+    chosen = {place.id: keyframes_shown(place_map, place) for place in merged.values()}
+    images = make_place_images(place_map.navigation.keyframes, chosen)
     places = tuple(
-        merged if place.id == merged.id else place for place in place_map.places if place.id not in gone
-    )  # fmt: skip
+        replace(merged[place.id], representative_keyframe=images[place.id].representative_keyframe)
+        if place.id in merged
+        else place
+        for place in place_map.places
+        if place.id not in gone
+    )
     return regrouped(place_map, places)
 
 
-def _joined(place_map: PlaceMap, parts: Sequence[Place]) -> Place:
-    """One place that holds the landmarks of all."""
+def _one_of(place_map: PlaceMap, parts: Sequence[Place]) -> Place:
+    """One place that holds the landmarks of all, but for its representative image."""
     landmarks = place_map.navigation.landmarks
     members = np.unique(np.concatenate([place.landmark_index for place in parts]))
     p = landmarks.p_world[members]
     centroid = p.mean(axis=0)
     keyframe_index, _ = observing_keyframes(landmarks, members)
     weights = [max(len(place.landmark_index), 1) for place in parts]
-    joined = replace(
+    return replace(
         parts[0],
         centroid_map=centroid,
         radius=float(np.sqrt(((p - centroid) ** 2).sum(axis=1).mean())),
@@ -63,7 +76,6 @@ def _joined(place_map: PlaceMap, parts: Sequence[Place]) -> Place:
         quality=float(np.average([place.quality for place in parts], weights=weights)),
         hidden=all(place.hidden for place in parts),
     )
-    return replace(joined, representative_keyframe=images_of_place(place_map, joined).representative_keyframe)
 
 
 def regrouped(place_map: PlaceMap, places: tuple[Place, ...]) -> PlaceMap:

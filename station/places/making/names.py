@@ -4,7 +4,8 @@ from __future__ import annotations
 
 NAME_PREFIX = "Place "
 ROOM_SEPARATOR = " · "
-DOOR_SIDE = "door side"
+DOOR_SIDE = "door side"  # of a room with one door
+DOOR_TO = "door to"
 
 
 def name_in_room(room: str, which: int | str) -> str:

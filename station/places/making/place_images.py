@@ -58,10 +58,14 @@ def keyframes_of_place(landmarks: Landmarks, members: IntArray, *, thesis: bool)
 
 def images_of_place(place_map: PlaceMap, place: Place) -> PlaceImages:
     """What a place of a map looks like, made from the images that its representative one was chosen from."""
-    navigation = place_map.navigation
+    chosen = {place.id: keyframes_shown(place_map, place)}
+    return make_place_images(place_map.navigation.keyframes, chosen)[place.id]
+
+
+def keyframes_shown(place_map: PlaceMap, place: Place) -> IntArray:
+    """(k,) the keyframes that show what a place of a map looks like."""
     thesis = place_map.config.get("mode") == "thesis"
-    chosen = keyframes_of_place(navigation.landmarks, place.landmark_index, thesis=thesis)
-    return make_place_images(navigation.keyframes, {place.id: chosen})[place.id]
+    return keyframes_of_place(place_map.navigation.landmarks, place.landmark_index, thesis=thesis)
 
 
 def make_place_images(keyframes: Keyframes, chosen: Mapping[str, IntArray]) -> dict[str, PlaceImages]:

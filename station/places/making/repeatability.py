@@ -11,8 +11,9 @@ import numpy as np
 from shared.geometry import FloatArray, IntArray
 from station.model.navigation import Landmarks
 from station.model.place_map import PlaceMap
-from station.places.making.clusters import Clusters, Lengths, cluster_landmarks
+from station.places.making.clusters import NOISE, Clusters, Lengths, cluster_landmarks
 from station.places.making.config import PlacesConfig, ThesisConfig
+from station.places.making.gathering import gather
 
 DRAWS = 10  # the mean of so many is still good to 0.1 only, of small places to less (docs/places.md)
 
@@ -39,8 +40,10 @@ def repeatability(place_map: PlaceMap, *, seed: int = 0) -> FloatArray:
 def _largest_shares(place_map: PlaceMap, clusters: Clusters, drawn: IntArray) -> FloatArray:
     """(n,) Jaccard similarity of each place with its likest cluster, among the landmarks that were drawn."""
     unique, once = np.unique(drawn, return_index=True)
-    label = np.full(len(place_map.navigation.landmarks), -1, dtype=np.int64)
+    label = np.full(len(place_map.navigation.landmarks), NOISE, dtype=np.int64)
     label[unique] = clusters.label[once]
+    if place_map.grain == "rooms":
+        label = _gathered(place_map, label)
     was_drawn = np.zeros(len(label), dtype=np.bool_)
     was_drawn[unique] = True
     size = np.bincount(label[label >= 0], minlength=clusters.count)
@@ -50,6 +53,25 @@ def _largest_shares(place_map: PlaceMap, clusters: Clusters, drawn: IntArray) ->
         common = np.bincount(label[members][label[members] >= 0], minlength=clusters.count)
         shares[k] = (common / np.maximum(len(members) + size - common, 1)).max(initial=0.0)
     return shares
+
+
+def _gathered(place_map: PlaceMap, label: IntArray) -> IntArray:
+    """Labels (M,) of clusters, those in one room gathered to as many as it has places in the map."""
+    rooms = {} if place_map.plan is None else place_map.plan.room_of_place
+    room_of_landmark = np.full(len(label), NOISE, dtype=np.int64)
+    numbers = {room: n for n, room in enumerate(dict.fromkeys(rooms.get(place.id) for place in place_map.places))}
+    for place in place_map.places:
+        room_of_landmark[place.landmark_index] = numbers[rooms.get(place.id)]
+    found = np.unique(label[label != NOISE])
+    members = [np.flatnonzero(label == cluster) for cluster in found]
+    centroid = np.array([place_map.navigation.landmarks.p_world[m].mean(axis=0) for m in members]).reshape(-1, 3)
+    room = np.array([np.bincount(room_of_landmark[m] + 1, minlength=2)[1:].argmax() for m in members], dtype=np.int64)
+    gathered = label.copy()
+    for name, number in numbers.items():
+        inside = np.flatnonzero(room == number)
+        for group in gather(centroid[inside], sum(rooms.get(place.id) == name for place in place_map.places)):
+            gathered[np.isin(label, found[inside[group]])] = found[inside[group[0]]]
+    return gathered
 
 
 def _chosen(landmarks: Landmarks, index: IntArray) -> Landmarks:

@@ -11,10 +11,11 @@ import numpy as np
 
 from shared.geometry import FloatArray, IntArray, homogeneous, transform
 from shared.room_sticker import CODE_SIDE_M, is_ours, room_named_by
-from station.model.floor_plan import NO_ROOM, FloorPlan, NameSuggestion
+from station.model.floor_plan import FloorPlan, NameSuggestion
 from station.model.frames import decode_picture
 from station.model.navigation import Landmarks
 from station.model.place_map import PlaceMap
+from station.places.naming.facing import room_before
 from station.vision.codes import read_codes
 from station.vision.lens import Lens
 
@@ -24,9 +25,7 @@ MIN_LANDMARKS = 4  # on a sticker: their median depth then survives one wrong la
 # One sigma of a distance: landmarks are as good as the map; a printed size is off by what printers shrink a page (3 to
 # 6 %) and by half a pixel of a code that is 60 px wide.
 LANDMARK_SIGMA, SIZE_SIGMA = 0.03, 0.06
-OFF_WALL_M, REACH_M = 0.1, 0.2  # a sticker's room is asked for between these distances before it
 ONE_STICKER_M = 0.6  # sightings of one text that are closer than this, or than their sigmas, are of one sticker
-STEPS = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,21 +102,6 @@ def _middle(corners: FloatArray) -> FloatArray:
     return np.asarray(p[:2] / p[2])
 
 
-def room_before(sighting: Sighting, plan: FloorPlan) -> int | None:
-    """Number of the room on whose side a sticker hangs; None where its distance leaves that open.
-
-    Rooms are asked for along the line of sight a little before the sticker, as near and as far as its distance may be
-    wrong: behind a thin wall is another room.
-    """
-    away = sighting.p_camera_map - sighting.p_map
-    distance = float(np.linalg.norm(away))
-    near, far = OFF_WALL_M * plan.unit, REACH_M * plan.unit + 2 * sighting.sigma
-    steps = np.linspace(near, min(far, distance), STEPS)
-    met = plan.rooms_at(sighting.p_map + steps[:, None] * (away / distance))
-    rooms = set(met.tolist()) - {NO_ROOM}
-    return rooms.pop() if len(rooms) == 1 else None
-
-
 def suggestions(sightings: Iterable[Sighting], plan: FloorPlan) -> tuple[NameSuggestion, ...]:
     """One suggestion per room and name. A sticker that seems to hang in two rooms names that of its nearest view.
 
@@ -128,7 +112,8 @@ def suggestions(sightings: Iterable[Sighting], plan: FloorPlan) -> tuple[NameSug
     for group in _one_sticker_each(sightings, plan.unit):
         votes: dict[int, list[Sighting]] = defaultdict(list)
         for sighting in group:
-            if (room := room_before(sighting, plan)) is not None:
+            room = room_before(plan, sighting.p_map, sighting.p_camera_map, sighting.sigma)
+            if room is not None:
                 votes[room].append(sighting)
         if not votes:
             continue
@@ -168,4 +153,5 @@ def _suggestion(plan: FloorPlan, room: int, name: str, seen: list[Sighting], sha
         reason=f'A sticker that reads "{name}" hangs here: {pictures} show it, the nearest from {distance_m:.1f} m.',
         keyframe_index=clearest.keyframe_index,
         corners_px=clearest.corners_px,
+        p_map=clearest.p_map,
     )

@@ -131,8 +131,9 @@ def _renumbered(place_map: PlaceMap, found: str, wanted: Room) -> PlaceMap:
     plan = require_plan(place_map)
 
     called = {room.id: room.id for room in plan.rooms} | {found: wanted.id}
+    suggestions = tuple(replace(s, room=called.get(s.room, s.room)) for s in place_map.suggestions)
     return with_plan(
-        place_map,
+        replace(place_map, suggestions=suggestions),
         replace(
             plan,
             rooms=tuple(replace(r, id=wanted.id, name=wanted.name) if r.id == found else r for r in plan.rooms),

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from station.model.floor_plan import FloorPlan
 from station.model.place_map import Place
-from station.places.making.names import DOOR_SIDE, NAME_PREFIX, ROOM_SEPARATOR, name_in_room
+from station.places.making.names import DOOR_SIDE, DOOR_TO, NAME_PREFIX, ROOM_SEPARATOR, name_in_room
 
 DOOR_SIDE_M = 1.2  # from a door's middle to the place's: what one touches while passing
 
@@ -23,16 +23,17 @@ def named_by_rooms(places: Sequence[Place], plan: FloorPlan) -> tuple[Place, ...
     renamed = {}
     for room_id, room_name in [*((room.id, room.name) for room in plan.rooms), (None, None)]:
         unnamed = [p for p in places if not p.named and plan.room_of_place.get(p.id) == room_id]
-        by_door = "" if room_name is None else name_in_room(room_name, DOOR_SIDE)
-        is_free = by_door.casefold() not in used
-        at_door = _at_the_only_door(unnamed, plan, room_id) if room_id is not None and is_free else None
-        for place, number in _numbered([place for place in unnamed if place.id != at_door]):
+        if room_id is not None and room_name is not None:
+            for place_id, word in _at_doors(places, plan, room_id):
+                name = name_in_room(room_name, word)
+                if place_id in {place.id for place in unnamed} and name.casefold() not in used:
+                    renamed[place_id] = name
+                    used.add(name.casefold())
+        for place, number in _numbered([place for place in unnamed if place.id not in renamed]):
             while (name := _called(room_name, number)).casefold() in used:
                 number += 1
             renamed[place.id] = name
             used.add(name.casefold())
-        if at_door is not None:
-            renamed[at_door] = by_door
     return tuple(replace(place, name=renamed.get(place.id, place.name)) for place in places)
 
 
@@ -52,12 +53,25 @@ def _numbered(places: Sequence[Place]) -> list[tuple[Place, int]]:
     return [(place, number_of[place.id] if place.id in number_of else next(free)) for place in places]
 
 
-def _at_the_only_door(places: Sequence[Place], plan: FloorPlan, room_id: str) -> str | None:
-    """Id of the place beside the room's door, where it has one door and one place is that near to it."""
+def _at_doors(places: Sequence[Place], plan: FloorPlan, room_id: str) -> Iterator[tuple[str, str]]:
+    """Ids of places of a room that one door is beside, each with a word: of its only door, or of where the door leads.
+
+    A door is beside the place of the room that is the nearest to it, so that who stands there is at that place.
+    """
+    inside = [place for place in places if plan.room_of_place.get(place.id) == room_id and not place.hidden]
     doors = [door for door in plan.doors if room_id in door.rooms]
-    if len(doors) != 1 or not places:
-        return None
-    ground = np.array([(plan.R_ground_map @ place.centroid_map)[:2] for place in places])
-    away = np.linalg.norm(ground - doors[0].ends.mean(axis=0), axis=1)
-    near = np.flatnonzero(away < DOOR_SIDE_M * plan.unit)
-    return places[int(near[0])].id if len(near) == 1 else None
+    if len(inside) < 2 or not doors:  # one place is the whole room
+        return
+    name = {room.id: room.name for room in plan.rooms}
+    ground = np.array([(plan.R_ground_map @ place.centroid_map)[:2] for place in inside])
+    away = np.linalg.norm(ground[:, None] - [door.ends.mean(axis=0) for door in doors], axis=2)
+    nearest = away.argmin(axis=0)
+    for k, door in enumerate(doors):
+        place = inside[nearest[k]]
+        other = door.rooms[1] if door.rooms[0] == room_id else door.rooms[0]
+        is_beside = away[nearest[k], k] < max(DOOR_SIDE_M * plan.unit, place.radius)
+        if is_beside and np.count_nonzero(nearest == nearest[k]) == 1:
+            if len(doors) == 1:
+                yield place.id, DOOR_SIDE
+            elif other is not None:
+                yield place.id, f"{DOOR_TO} {name[other]}"

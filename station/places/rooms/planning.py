@@ -2,33 +2,79 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import count
 
-from station.model.floor_plan import FloorPlan
+from station.model.floor_plan import FloorPlan, NameSuggestion
 from station.model.place_map import PlaceMap
+from station.places.naming.facing import room_before
+from station.places.rooms.gathering import gathered
 from station.places.rooms.place_names import named_by_rooms
+
+LEAST_CERTAINTY = 1e-6  # of a room: a name of one without any is divided by it
 
 
 def planned(place_map: PlaceMap, earlier: PlaceMap | None = None) -> PlaceMap:
-    """The map with its floor plan. Rooms keep the ids and names that they had in it, or in an `earlier` map of the same
-    frame, and so does what people made of them.
+    """The map with its floor plan, and with its places by room where it is of that grain.
+
+    Rooms keep the ids and names that they had in it, or in an `earlier` map of the same frame, and so does what people
+    made of them.
     """
     from station.places.rooms.plan import make_floor_plan  # SciPy, which a station needs only once somebody edits doors
 
     before = place_map if earlier is None else earlier
     plan = make_floor_plan(place_map.navigation, place_map.places, before.plan_edits, before.plan)
+    if place_map.grain == "rooms":
+        place_map = gathered(place_map, plan.room_of_place)
+        ids = {place.id for place in place_map.places}
+        plan = replace(plan, room_of_place={id: room for id, room in plan.room_of_place.items() if id in ids})
     return with_plan(replace(place_map, plan_edits=before.plan_edits), plan)
 
 
 def with_plan(place_map: PlaceMap, plan: FloorPlan) -> PlaceMap:
-    """The map with this plan, its places called after their rooms, and without suggestions for rooms that are gone."""
+    """The map with this plan, its places called after their rooms, and suggested names with the rooms they speak of."""
     plan = _told_apart(plan)
-    ids = {room.id for room in plan.rooms}
-    suggestions = tuple(suggestion for suggestion in place_map.suggestions if suggestion.room in ids)
     places = named_by_rooms(place_map.places, plan)
-    return replace(place_map, places=places, plan=plan, suggestions=suggestions)
+    return replace(place_map, places=places, plan=plan, suggestions=_handed_on(place_map, plan))
+
+
+def _handed_on(place_map: PlaceMap, plan: FloorPlan) -> tuple[NameSuggestion, ...]:
+    """The suggestions, each for the room in which what speaks for it hangs now; none for rooms that are gone.
+
+    Several names in one room share their confidence, and none is surer than the plan is of the room.
+    """
+    certainty = {room.id: room.certainty for room in plan.rooms}
+    earlier = {} if place_map.plan is None else {room.id: room.certainty for room in place_map.plan.rooms}
+    names_before = Counter(suggestion.room for suggestion in place_map.suggestions)
+    found: dict[tuple[str, str], NameSuggestion] = {}
+    for s in sorted(place_map.suggestions, key=lambda s: s.confidence):  # of equal names in one room the surest is kept
+        if (room := _room_of(s, place_map, plan)) in certainty:
+            found[room, s.name] = s
+    names_now = Counter(room for room, _ in found)
+    return tuple(
+        replace(
+            s,
+            room=room,
+            confidence=min(
+                1.0,
+                s.confidence
+                * (names_before[s.room] / names_now[room])
+                * (certainty[room] / max(earlier.get(s.room, certainty[room]), LEAST_CERTAINTY)),
+            ),
+        )
+        for (room, _), s in sorted(found.items())
+    )
+
+
+def _room_of(suggestion: NameSuggestion, place_map: PlaceMap, plan: FloorPlan) -> str:
+    """Id of the room in which what speaks for a name hangs, or the suggestion's own where nobody knows."""
+    if suggestion.p_map is None or suggestion.keyframe_index is None:
+        return suggestion.room
+    T_map_cam = place_map.navigation.keyframes.T_world_cam[suggestion.keyframe_index]
+    number = room_before(plan, suggestion.p_map, T_map_cam[:3, 3])
+    return suggestion.room if number is None else plan.rooms[number].id
 
 
 def _told_apart(plan: FloorPlan) -> FloorPlan:

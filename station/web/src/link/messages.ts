@@ -535,6 +535,8 @@ export interface MapOrder {
   navigations: string[];
   name: string;
   mode: "default" | "thesis" | null;
+  /** at most six in each room, or every cluster of landmarks (in thesis mode always) */
+  places: "rooms" | "fine";
   /** use the map as soon as it is built */
   activate: boolean;
 }

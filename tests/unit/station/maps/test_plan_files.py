@@ -26,7 +26,16 @@ from tests.support.plans import two_rooms, with_two_rooms
 from tests.support.store import content_hash
 
 EDITS = PlanEdits((np.array([[1.0, -1.5], [1.0, 1.5]]),), (np.array([[3.0, 0.0], [3.0, 0.5]]),), {"room-l": "Salon"})
-SUGGESTION = NameSuggestion("room-k", "Kitchen", "sticker", 0.98, "a sticker says so", 3, np.arange(8.0).reshape(4, 2))
+SUGGESTION = NameSuggestion(
+    "room-k",
+    "Kitchen",
+    "sticker",
+    0.98,
+    "a sticker says so",
+    3,
+    np.arange(8.0).reshape(4, 2),
+    np.array([7.0, 1.0, 0.3]),
+)
 
 
 @pytest.fixture
@@ -155,6 +164,7 @@ def test_cells_that_do_not_fit_are_refused(planned: PlaceMap, store: MapStore, c
         lambda content: content["rooms"][0].update(name="x" * 10**6),
         lambda content: content["floor_plan"]["edits"].update(names={"room-l": "x" * 81}),
         lambda content: content["floor_plan"]["suggestions"][0].update(name="x" * 81),
+        lambda content: content["floor_plan"]["suggestions"][0].update(p_map=[0.0, 1.0]),
         lambda content: content["floor_plan"]["edits"].update(doors_drawn=[[[0.0, 0.0], [1.0, 1.0]]] * 100_000),
     ],
 )

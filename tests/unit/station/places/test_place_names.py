@@ -71,3 +71,25 @@ def test_no_place_gets_the_name_that_a_person_gave_to_another() -> None:
     given = [named_place(1, 0.0, "Living room · door side"), named_place(3, 0.0, "living room · 1"), place(2, 2.6)]
     made = names(named_by_rooms(given, plan))
     assert made[:2] == ["Living room · door side", "living room · 1"] and made[2] == "Living room · 2"
+
+
+def test_where_a_room_has_several_doors_each_says_where_it_leads() -> None:
+    plan = plan_of({"p1": "room-k", "p2": "room-k", "p3": "room-k"})
+    made = names(named_by_rooms([place(1, 3.4), place(2, 5.0), place(3, 6.6)], plan))
+    assert made == ["Room 2 · door to Living room", "Room 2 · 1", "Room 2 · 2"]  # nobody went through the other one
+
+
+def test_a_place_at_two_doors_is_called_by_neither() -> None:
+    plan = plan_of({"p1": "room-k", "p2": "room-k"})
+    second = replace(plan.doors[0], id="door-lk-2", ends=plan.doors[0].ends + np.array([0.0, 1.0]))
+    made = named_by_rooms([place(1, 3.4), place(2, 6.0)], replace(plan, doors=(*plan.doors[:1], second)))
+    assert names(made) == ["Room 2 · 1", "Room 2 · 2"]
+
+
+def test_the_only_place_of_a_room_is_the_room_and_not_the_side_of_its_door() -> None:
+    assert names(named_by_rooms([place(1, 2.6)], plan_of({"p1": "room-l"}))) == ["Living room · 1"]
+
+
+def test_a_named_place_at_the_door_leaves_no_other_place_the_word() -> None:
+    plan = plan_of({"p1": "room-l", "p2": "room-l"})
+    assert names(named_by_rooms([named_place(1, 2.9, "Mat"), place(2, 2.4)], plan)) == ["Mat", "Living room · 1"]

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import zxingcpp
 
-from station.model.floor_plan import NameSuggestion
+from station.model.floor_plan import NO_ROOM, FloorPlan, NameSuggestion, Room
 from station.model.place_map import PlaceMap
 from station.places.naming.suggest import suggest_names
-from station.places.rooms.planning import with_suggestions
+from station.places.rooms.planning import with_plan, with_suggestions
 from tests.support.plans import WALL_X, two_rooms
 from tests.support.stickers import code_picture, looking_along_x, map_of_pictures, sticker_picture
 
@@ -27,6 +27,8 @@ def test_a_sticker_seen_once_names_its_room_and_shows_where() -> None:
     assert "1.5 m" in found.reason and found.confidence > 0.9
     assert found.corners_px is not None
     np.testing.assert_allclose(found.corners_px.mean(axis=0), [319.5, 239.5], atol=1.0)
+    assert found.p_map is not None
+    np.testing.assert_allclose(found.p_map, [6.9, 1.0, 0.3], atol=0.1)
 
 
 def test_a_sticker_is_no_surer_of_a_room_than_the_plan_is() -> None:
@@ -80,3 +82,53 @@ def test_a_damaged_picture_is_passed_over() -> None:
 def test_a_map_without_a_plan_gets_no_suggestions() -> None:
     place_map: PlaceMap = map_of_pictures([sticker_picture("Kitchen", 1.5)], [looking_along_x(5.4, 1.0)])
     assert with_suggestions(place_map).suggestions == ()
+
+
+def flat_with_stickers(*stickers: tuple[str, tuple[float, float]]) -> PlaceMap:
+    """Of two rooms, with names that stickers suggest, each seen from where it says."""
+    pictures = [sticker_picture(name, 1.5) for name, _ in stickers]
+    seen = map_of_pictures(pictures, [looking_along_x(*xy) for _, xy in stickers])
+    return with_suggestions(replace(seen, plan=two_rooms()))
+
+
+def of_one_room(plan: FloorPlan) -> FloorPlan:
+    """As after merging: the first room, over both."""
+    merged = np.where(plan.room == NO_ROOM, NO_ROOM, 0).astype(np.int16)
+    return replace(plan, room=merged, rooms=plan.rooms[:1], doors=())
+
+
+def test_merged_rooms_have_the_names_of_both_stickers_and_neither_is_sure() -> None:
+    flat = flat_with_stickers(("Parlour", (WALL_X - 1.5, 1.2)), ("Kitchen", (5.4, 1.0)))
+    merged = with_plan(flat, of_one_room(two_rooms()))
+    assert [(s.room, s.name) for s in merged.suggestions] == [("room-l", "Kitchen"), ("room-l", "Parlour")]
+    assert [s.confidence for s in merged.suggestions] == pytest.approx([0.495, 0.495])
+
+
+def test_where_both_stickers_of_merged_rooms_read_alike_the_name_is_as_sure_as_before() -> None:
+    flat = flat_with_stickers(("Bedroom", (WALL_X - 1.5, 1.2)), ("Bedroom", (5.4, 1.0)))
+    [found] = with_plan(flat, of_one_room(two_rooms())).suggestions
+    assert found.confidence == pytest.approx(0.99)
+
+
+def test_the_part_of_a_room_that_was_split_in_which_the_sticker_hangs_gets_its_name() -> None:
+    plan = two_rooms()
+    joined = with_plan(flat_with_stickers(("Kitchen", (5.4, 1.0))), of_one_room(plan))
+    parted = replace(plan, rooms=(plan.rooms[0], Room("room-new", "Room 3", 12.0, plan.rooms[1].middle, 0.5)))
+    [found] = with_plan(joined, parted).suggestions
+    assert (found.room, found.name) == ("room-new", "Kitchen")
+    assert found.confidence == pytest.approx(0.5 * 0.99)
+
+
+def test_a_suggestion_of_before_positions_were_noted_stays_with_its_room_while_it_is_there() -> None:
+    flat = flat_with_stickers(("Kitchen", (5.4, 1.0)))
+    older = replace(flat, suggestions=tuple(replace(s, p_map=None) for s in flat.suggestions))
+    assert with_plan(older, two_rooms()).suggestions[0].room == "room-k"
+    assert with_plan(older, of_one_room(two_rooms())).suggestions == ()
+
+
+def test_a_plan_made_again_hands_on_the_same_suggestions() -> None:
+    flat = flat_with_stickers(("Parlour", (WALL_X - 1.5, 1.2)), ("Kitchen", (5.4, 1.0)))
+    again = with_plan(flat, two_rooms())
+    assert {(s.room, s.name, s.confidence) for s in again.suggestions} == {
+        (s.room, s.name, s.confidence) for s in flat.suggestions
+    }
