@@ -26,7 +26,7 @@ from shared.calibration import CameraCalibration
 from shared.geometry import so3_log
 from station.calibration.camera_imu.start import Turns, match_turning
 from station.calibration.targetless.check import CalibrationCheck, check_calibration
-from station.commands.calibrate.check import lively
+from station.calibration.targetless.recording import lively
 from station.datasets import Dataset, open_dataset
 from tests.support.hand_held import knocked, record_hand_held
 from tests.support.paths import RECORDINGS

@@ -17,8 +17,8 @@ UNKNOWN: Final = "not known yet"
 
 _MISFITS_BECAUSE: Final = "the calibration does not fit:"
 REMEDY: Final = (
-    "calibrate the camera, or carry the robot about by hand while half a minute is recorded, and let"
-    " `station calibrate check RECORDING.mcap --out calibration.yaml` say what is off"
+    "calibrate the camera, or carry the robot about by hand for half a minute: *Calibrate*, *Check* on the page, or"
+    " `station calibrate check RECORDING.mcap --out calibration.yaml` of a recording, says what is off"
 )
 
 # 2 % of focal length, 1 degree and 5 ms are borne: answers stay right. 3 % gives wrong ones. So half way between those,
