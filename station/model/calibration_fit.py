@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
-from scipy.stats import poisson
 
 from shared.geometry import FloatArray
 
@@ -99,11 +99,20 @@ def contradicted(fit: CalibrationFit, times: int, within_s: float) -> Calibratio
     Of a calibration that is far off (another lens than the told one) windows of sound tracking are rare and say little,
     each from its own mistaken poses; that there are hardly any says enough. Where they do say something, it stands.
     """
-    if fit.verdict != UNKNOWN or poisson.sf(times - 1, CONTRADICTIONS_PER_S * within_s) > UNLIKELY:
+    if fit.verdict != UNKNOWN or _chance(times, CONTRADICTIONS_PER_S * within_s) > UNLIKELY:
         return fit
     seems = "".join(f", {excess.what}, give or take {excess.give_or_take}" for excess in _excesses(fit))
     what = f"image and IMU contradicted each other {times} times in {within_s:.0f} s{seems}"
     return replace(fit, verdict=MISFITS, sentence=f"{_MISFITS_BECAUSE} {what}; {REMEDY}", is_contradicted=True)
+
+
+def _chance(times: int, expected: float) -> float:
+    """Of so many or more, by Poisson's distribution. By hand: SciPy would be loaded by every command."""
+    fewer, term = 0.0, math.exp(-expected)
+    for k in range(times):
+        fewer += term
+        term *= expected / (k + 1)
+    return 1.0 - fewer
 
 
 def judge(
