@@ -21,7 +21,7 @@ from station.maps.repair.check import verify
 from station.maps.store import MapStore
 from station.model.map_store import StoreAddress
 from station.model.navigation import Navigation
-from station.model.place_map import PlaceMap
+from station.model.place_map import PlaceGrain, PlaceMap
 from station.places.making.build import build_map
 from station.places.making.changes import with_places_merged
 from station.workers.library_jobs import LibraryJobs
@@ -239,6 +239,10 @@ def look_at_stations(folder: Path, promised: list[list[object]]) -> str:
 # Building maps of one drive, and of several
 
 
+# Every cluster: to what they are gathered by room hangs on what a person had named before, unlike in `built_once`.
+GRAIN: PlaceGrain = "fine"
+
+
 def prepare_navigations(folder: Path) -> None:
     """Three drives, and a map of the first in which a person named a place."""
     for number, name in enumerate(DRIVES):
@@ -256,7 +260,7 @@ def build_on(kinds: tuple[tuple[int, ...], ...]) -> Callable[[Path, Child], None
         for number in range(10_000):
             kind = number % len(kinds)
             folders = [folder / DRIVES[k] for k in kinds[kind]]
-            child.do(functools.partial(library.build_map, folders, address(folder), f"v{number}", None))
+            child.do(functools.partial(library.build_map, folders, address(folder), f"v{number}", None, places=GRAIN))
             child.promise(number)
 
     return work
@@ -312,7 +316,7 @@ def built_once(drives: tuple[int, ...], after: tuple[int, ...] = ()) -> PlaceMap
             save_navigation(made_up_navigation(number), folder / DRIVES[number])
         for kind in filter(None, (after, drives)):
             built = LibraryJobs(lambda _: None).build_map(
-                [folder / DRIVES[number] for number in kind], StoreAddress(folder / "maps"), "v0", None
+                [folder / DRIVES[number] for number in kind], StoreAddress(folder / "maps"), "v0", None, places=GRAIN
             )
         return MapStore(folder / "maps").load(built.map_id)
 
