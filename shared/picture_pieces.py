@@ -1,4 +1,4 @@
-"""A picture cut into pieces for datagrams, with parity, and put together again from enough of them. No socket, no clock.
+"""A picture cut into pieces for datagrams, with parity, and put together from enough of them. No socket, no clock.
 
 Each piece says of which picture it is, so that the station needs to know nothing before.
 """

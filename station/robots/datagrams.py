@@ -26,7 +26,7 @@ from shared.picture_pieces import MESSAGE, PIECE, ArrivingPicture, Assembler
 logger = logging.getLogger(__name__)
 
 READ_AT_ONCE = 64  # then the event loop turns
-OPENS_WITHIN_REPORTS = 20  # two seconds; until then all are those of heartbeats
+OPENS_WITHIN_REPORTS = 50  # five seconds: until something comes they are those of heartbeats
 RECEIVE_BYTES = 1 << 20  # of the kernel's buffer: a busy moment of ours must not lose what the network carried
 
 
