@@ -7,6 +7,7 @@ import contextlib
 import logging
 import secrets
 import socket
+from collections.abc import Callable
 
 from robot.datagram_sender import Address
 from robot.station_client import StationClient
@@ -16,12 +17,15 @@ from shared.messages import AskDatagrams, Datagrams
 logger = logging.getLogger(__name__)
 
 READ_AT_ONCE = 64  # then the event loop turns
+THIN_FOR_NS = 60_000_000_000  # a station that is back sooner is not asked to find out again that its network is thin
 
 
 class DatagramPort:
     """Hands datagrams to the station whose session they name, where they come from its connection's own address."""
 
-    def __init__(self) -> None:
+    def __init__(self, now_ns: Callable[[], int]) -> None:
+        self._now_ns = now_ns
+        self._left_thin_ns: dict[str, int] = {}  # host → when its connection over a thin network ended
         self.number = 0  # 0: there is none
         self._socket: socket.socket | None = None
         self._clients: dict[int, StationClient] = {}
@@ -48,8 +52,9 @@ class DatagramPort:
 
     def answer(self, client: StationClient, ask: AskDatagrams) -> None:
         """With new keys, once for each connection."""
-        if self._socket is None or client.datagrams is not None:
+        if self._socket is None or client.datagrams is not None or client.video is None:
             return
+        client.video.is_thin |= self._left_thin_ns.get(client.address, -THIN_FOR_NS) > self._now_ns() - THIN_FOR_NS
         session = secrets.randbits(32)
         while session in self._clients:
             session = secrets.randbits(32)
@@ -59,6 +64,10 @@ class DatagramPort:
         client.open_datagrams(told, ask.port, self._send)
 
     def forget(self, client: StationClient) -> None:
+        now_ns = self._now_ns()
+        self._left_thin_ns = {h: t_ns for h, t_ns in self._left_thin_ns.items() if t_ns > now_ns - THIN_FOR_NS}
+        if client.datagrams is not None and client.video is not None and client.video.is_thin:
+            self._left_thin_ns[client.address] = now_ns
         self._clients = {session: known for session, known in self._clients.items() if known is not client}
 
     def _read(self, port: socket.socket) -> None:

@@ -101,7 +101,7 @@ class RobotServer:
         self._frames = FrameSlot(self._recompressor.begin)
         self._backlog = ImuBacklog(config.server.imu_backlog_samples)
         self._clients: dict[int, StationClient] = {}
-        self._datagrams = DatagramPort()
+        self._datagrams = DatagramPort(now_ns)
         self._seats = Seats(config.server.max_stations, SEATS_PER_TOKEN)
         self._next_client_id = 1
         self._started_ns = now_ns()

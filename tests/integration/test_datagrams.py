@@ -9,10 +9,12 @@ from contextlib import asynccontextmanager
 
 import pytest
 
+from robot.commands import notice
 from robot.datagram_port import DatagramPort
 from robot.datagram_sender import DatagramSender
 from robot.station_client import StationClient
 from shared.datagrams import HEADER
+from shared.session import Event
 from station.robots import link as link_module
 from station.robots.datagrams import PictureDatagrams
 from station.robots.link import RobotLink
@@ -160,3 +162,18 @@ async def test_strangers_and_replays_change_nothing_and_get_no_answer(monkeypatc
             await show(bench, notes, 5)
         assert sender_of(client)._address == address
         check(notes)
+
+
+async def test_a_station_that_is_soon_back_gets_datagrams_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with thin_link(monkeypatch) as (bench, _, _, client):
+        await until(lambda: client.datagrams is not None and client.datagrams.is_used)
+        assert not sender_of(client)._has_failed
+        async with linked(bench.port, "other") as (_, notes):
+            second = bench.server._clients[max(bench.server._clients)]
+            await until(lambda: second.datagrams is not None)
+            assert second.video is not None and not second.video.is_thin, "the first one has not left"
+            await show(bench, notes, 1)
+        client.end(Event.LOST, notice("shutdown", "away for a moment", fatal=True))
+        await until(lambda: client.id not in bench.server._clients and bench.server._clients)
+        back = bench.server._clients[max(bench.server._clients)]
+        await until(lambda: back.datagrams is not None and back.datagrams.is_used)
