@@ -125,11 +125,13 @@ async def program(command: Sequence[str], says: str) -> AsyncIterator[Process]:
             await reading
 
 
-async def observe(network: Network, name: str, folder: Path, options: argparse.Namespace) -> Observed:
+async def observe(
+    network: Network, name: str, folder: Path, options: argparse.Namespace, robot_options: Sequence[str]
+) -> Observed:
     """Start the programs, let everything settle, then watch and drive. To be called in the station's namespace."""
     data, log = folder / "data", folder / "motors"
     ends = Ends.paired(network, folder, data, "small", options.seed)
-    robot = [sys.executable, "-m", "tests.support.network.robot", str(ends.robot_config), str(log)]
+    robot = [sys.executable, "-m", "tests.support.network.robot", str(ends.robot_config), str(log), *robot_options]
     station = [sys.executable, "-m", "station.main", "serve", "--robot", ends.robot_address]
     station += ["--port", str(PAGE_PORT), "--data", str(data)]
     seen = Observed()
@@ -284,14 +286,21 @@ def clock_figures(seen: Observed) -> Iterator[Figure]:
     yield Figure("connections made", seen.connections)
 
 
-def measure(name: str, options: argparse.Namespace) -> Observed:
+def measure(name: str, options: argparse.Namespace, robot_options: Sequence[str] = ()) -> Observed:
     """One network, from the start of its programs to their end."""
     with (
         tempfile.TemporaryDirectory(prefix="network-") as folder,
         Network(PROFILES[name], options.seed) as network,
         network.station.entered(),
     ):
-        return asyncio.run(observe(network, name, Path(folder), options))
+        return asyncio.run(observe(network, name, Path(folder), options, robot_options))
+
+
+def show(figures: Sequence[Figure], seen: Observed) -> None:
+    for figure in figures:
+        value = "–" if figure.value is None else f"{figure.value:.4g} {figure.unit}"
+        print(f"{figure.what}: {value}{'' if figure.is_met is not False else '   (not met)'}")
+    print(f"{seen.remark}\n", flush=True)
 
 
 def interrupt(_number: int, _frame: FrameType | None) -> None:
@@ -304,6 +313,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=120.0, help="how long each is driven over")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--blind", action="store_true", help="drive by pictures of any age, which the page does not")
+    parser.add_argument("--tcp", action="store_true", help="each network first with pictures by TCP alone")
     parser.add_argument("--demo", default="", metavar="SEEDS", help="flats, as 1-10, for the demo over each network")
     add_results_option(parser, "network")
     options = parser.parse_args()
@@ -314,14 +324,17 @@ def main() -> int:
         return 1
     found: list[Figure] = []
     for name in options.profiles:
+        if options.tcp:
+            seen = measure(name, options, ["tcp"])
+            # What is asked is asked of the robot as it is.
+            told = [replace(f, what=f"TCP alone, {f.what}", at_most=None, at_least=None) for f in figures(name, seen)]
+            show(told, seen)
+            found += told
         seen = measure(name, options)
         of_profile = figures(name, seen)
         if options.demo:
             of_profile += demo_figures(name, parse_seeds(options.demo))
-        for figure in of_profile:
-            value = "–" if figure.value is None else f"{figure.value:.4g} {figure.unit}"
-            print(f"{figure.what}: {value}{'' if figure.is_met is not False else '   (not met)'}")
-        print(f"{name}: {seen.remark}\n", flush=True)
+        show(of_profile, seen)
         found += of_profile
     run.write(options.results, found)
     return 0

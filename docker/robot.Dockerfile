@@ -9,6 +9,6 @@ COPY robot robot
 COPY station station
 RUN SENTINEL_NO_PAGE=1 pip install --no-cache-dir -c constraints.txt ".[robot,simulation]" && useradd --create-home sentinel
 USER sentinel
-EXPOSE 7400
+EXPOSE 7400 7400/udp
 ENTRYPOINT ["robot-server"]
 CMD ["--devices", "simulated", "--world", "home", "--seed", "1"]

@@ -19,6 +19,7 @@ from shared.discovery import DEFAULT_PORT
 from shared.errors import ConfigError, LocalProtocolError
 from shared.listening import is_loopback
 from shared.messages import (
+    AskDatagrams,
     Drive,
     ErrorNotice,
     Heartbeat,
@@ -47,6 +48,7 @@ MESSAGE_ROLES: dict[type, Role | None] = {
     Join: Role.WATCH,
     Heartbeat: Role.WATCH,
     Received: Role.WATCH,
+    AskDatagrams: Role.WATCH,
     ErrorNotice: Role.WATCH,
     Stop: Role.WATCH,  # whoever sees the robot may stop it
     Drive: Role.DRIVE,

@@ -25,6 +25,7 @@ KEPT_UNDER_WAY = 2048
 # No way gets so much shorter from one message to the next: a clock stood still, as that of a computer that slept.
 CLOCK_STEP_NS = 100_000_000
 LEAST_SERVICE_NS = 1_000_000  # two event loops cannot tell less
+LEAST_SPREAD_NS = 100_000  # pieces that come in one transmission
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +63,7 @@ class LinkMeter:
         self._returns_ns: deque[int] = deque(maxlen=KEPT_TRIPS)
         self._sent = self._confirmed = 0
         self._served: deque[tuple[int, int]] = deque(maxlen=KEPT_FRAMES)  # bytes and time of the last pictures
+        self._rates: deque[float] = deque(maxlen=KEPT_FRAMES)  # bytes per ns of the same
         self._frame_confirmed_ns = 0
         self._other_bytes = 0  # beside pictures since the last picture
         self._last_frame_ns: int | None = None
@@ -79,6 +81,10 @@ class LinkMeter:
         """Of a few bytes, there and back; 0: not known."""
         return _middle(self._trips_ns)
 
+    def is_busy(self, now_ns: int) -> bool:
+        """Whether a picture has not left yet, as far as the link is known."""
+        return bool(self._frames) and (self.estimate is None or now_ns < self._frames[-1].left_ns)
+
     def has_room(self, now_ns: int) -> bool:
         """Whether another picture would not wait behind one: at most one is on its way beyond what the link holds.
 
@@ -87,7 +93,7 @@ class LinkMeter:
         """
         if not self._frames:
             return True
-        if self.estimate is None or now_ns < self._frames[-1].left_ns:
+        if self.estimate is None or self.is_busy(now_ns):
             return False
         if now_ns > self._frames[0].left_ns + 2 * self.estimate.trip_ns:
             return False
@@ -104,19 +110,37 @@ class LinkMeter:
             self._measure_others(now_ns)
         else:
             self._others.append(sent)
-            self._other_bytes += num_bytes
+            self.note_beside(num_bytes)
+
+    def note_beside(self, num_bytes: int) -> None:
+        """These bytes go the same way beside the pictures, perhaps by another connection."""
+        self._other_bytes += num_bytes
+
+    @property
+    def is_settled(self) -> bool:
+        """The estimate is of as many pictures as it ever is."""
+        return len(self._served) == KEPT_FRAMES
 
     def confirm_frame(self, now_ns: int) -> None:
         """A station of before `Received.num_bytes` has one more picture, and all that was sent before it."""
         if self._frames:
             self.confirm(self._frames[0].end, 0, now_ns)
 
-    def confirm(self, num_bytes: int, held_ns: int, now_ns: int, t_station_ns: int = 0) -> None:
+    def lose(self, num_bytes: int) -> None:
+        """The pictures within that many bytes did not arrive, and do not any more."""
+        self._confirmed = max(self._confirmed, num_bytes)
+        _pop_confirmed(self._frames, num_bytes)
+
+    def confirm(
+        self, num_bytes: int, held_ns: int, now_ns: int, t_station_ns: int = 0, spread: tuple[float, int] | None = None
+    ) -> None:
         """The station has that many bytes of this connection, the last of them since `held_ns`.
 
         Args:
             t_station_ns: when it read these, by its own clock: how long this word of it took says nothing of the link's
                 rate. 0: not told.
+            spread: of a picture that came in pieces: bytes behind the first piece, and ns from that to the last one.
+                Jitter moves both ends alike, and a way's delay need not be known.
         """
         trip_end_ns = now_ns - max(0, held_ns)
         read_ns = t_station_ns or trip_end_ns
@@ -128,15 +152,18 @@ class LinkMeter:
         if newest_ns is not None:
             self._follow_clocks(read_ns - newest_ns, trip_end_ns - read_ns)
         for frame in frames:
-            self._note_frame(frame, read_ns)
+            self._note_frame(frame, read_ns, spread if frame is frames[-1] else None)
         if others and not (frames and frames[-1].end > others[-1].end):
-            newest = others[-1]
-            trip_ns = max(0, trip_end_ns - newest.t_ns)
-            # Behind a picture it may have waited; what was quick all the same was not held up.
-            if not newest.met_frame or not self._trips_ns or trip_ns < self.trip_ns:
-                self._trips_ns.append(trip_ns)
-                self._delays_ns.append(read_ns - newest.t_ns)
-                self._returns_ns.append(trip_end_ns - read_ns)
+            self.note_trip(others[-1].t_ns, read_ns, trip_end_ns, others[-1].met_frame)
+
+    def note_trip(self, sent_ns: int, read_ns: int, end_ns: int, met_frame: bool) -> None:
+        """A few bytes were read by the station's clock at `read_ns`, and the word of it was here at `end_ns`."""
+        trip_ns = max(0, end_ns - sent_ns)
+        # Behind a picture it may have waited; what was quick all the same was not held up.
+        if not met_frame or not self._trips_ns or trip_ns < self.trip_ns:
+            self._trips_ns.append(trip_ns)
+            self._delays_ns.append(read_ns - sent_ns)
+            self._returns_ns.append(end_ns - read_ns)
 
     def _follow_clocks(self, there_ns: int, back_ns: int) -> None:
         """Where a clock stood still, what was learnt of the delays is moved by as much.
@@ -153,17 +180,19 @@ class LinkMeter:
             known.clear()
             known.extend(moved)
 
-    def _note_frame(self, frame: _Sent, read_ns: int) -> None:
+    def _note_frame(self, frame: _Sent, read_ns: int, spread: tuple[float, int] | None) -> None:
         # The middle delay: jitter belongs to it, or every picture would be blamed for it.
         begin_ns = max(frame.t_ns + _middle(self._delays_ns), self._frame_confirmed_ns)
         self._frame_confirmed_ns = read_ns
         service_ns = min(max(read_ns - begin_ns, LEAST_SERVICE_NS), LONGEST_SERVICE_NS)
         self._served.append((frame.num_bytes, service_ns))
+        num_bytes, took_ns = spread or (frame.num_bytes, service_ns)
+        self._rates.append(num_bytes / max(took_ns, LEAST_SPREAD_NS))
         self.estimate = LinkEstimate(self._rate(), self.trip_ns, self._other_rate)
 
     def _rate(self) -> float:
         """Bytes a second, of the last pictures."""
-        middle = statistics.median_low(num_bytes / ns for num_bytes, ns in self._served)
+        middle = statistics.median_low(self._rates)
         overall = sum(num_bytes for num_bytes, _ in self._served) / sum(ns for _, ns in self._served)
         return min(middle, RECOVERED * overall) * 1e9
 

@@ -16,6 +16,7 @@ import msgspec
 from robot.access import UNKNOWN_STATION, Gate, check_roles, may
 from robot.commands import About, CommandDesk, notice
 from robot.config import RobotConfig
+from robot.datagram_port import DatagramPort
 from robot.devices.ports import DeviceSet
 from robot.doorstep import Doorstep
 from robot.head import STEP_S, CameraHead
@@ -34,6 +35,7 @@ from shared.access import Role
 from shared.errors import HardwareError
 from shared.messages import (
     PROTOCOL_VERSION,
+    AskDatagrams,
     DriveApplied,
     ErrorCode,
     ErrorNotice,
@@ -99,6 +101,7 @@ class RobotServer:
         self._frames = FrameSlot(self._recompressor.begin)
         self._backlog = ImuBacklog(config.server.imu_backlog_samples)
         self._clients: dict[int, StationClient] = {}
+        self._datagrams = DatagramPort(now_ns)
         self._seats = Seats(config.server.max_stations, SEATS_PER_TOKEN)
         self._next_client_id = 1
         self._started_ns = now_ns()
@@ -124,6 +127,7 @@ class RobotServer:
                     STRANGER_WITHIN_S,
                     lambda caller: _Streams(caller, lambda *streams: self._take_in(tasks, caller, *streams)),
                 )
+                self._datagrams.open(listener)
                 receiving = tasks.create_task(reception.run())
                 try:
                     tasks.create_task(self._tick_forever())
@@ -139,6 +143,7 @@ class RobotServer:
                     await self._say_goodbye()
         finally:
             self.stop_motors()
+            self._datagrams.close()
             self._loop = self.recalibration.tasks = None
             self._recompressor.close()
             await self._devices.close()
@@ -161,6 +166,7 @@ class RobotServer:
             calibration=self.recalibration.own.current,
             challenge=challenge,
             calibration_origin=self.recalibration.own.origin,
+            datagram_port=self._datagrams.number,
         )
 
     # Connections
@@ -185,6 +191,7 @@ class RobotServer:
             logger.exception("connection %d failed", client.id)
         finally:
             del self._clients[client.id]
+            self._datagrams.forget(client)
             name = client.station_name or f"connection {client.id}"
             logger.info("%s left: %s", name, client.session.close_reason)
 
@@ -203,6 +210,9 @@ class RobotServer:
             if client.meter.has_heard_ns is not None:
                 self.desk.note_heard(client.id, client.meter.has_heard_ns)
             return
+        if isinstance(message, AskDatagrams):
+            self._datagrams.answer(client, message)
+            return
         if isinstance(message, UseCalibration | UndoCalibration):
             self.recalibration.order(client, message)
             return
@@ -211,7 +221,10 @@ class RobotServer:
             self.desk.keep_standing(client.id, message.must_stand is True and _may_drive(client))
             t_robot_ns = self._devices.clock()
             took_stop = self.watchdog is None or not self.watchdog.stop_fault
-            client.put(reply_to(message, t_robot_ns, t_robot_ns, took_stop=took_stop))
+            reply = reply_to(message, t_robot_ns, t_robot_ns, took_stop=took_stop)
+            client.put(reply)
+            if client.datagrams is not None:
+                client.datagrams.note_beat(reply)
         if (refusal := self.desk.handle(client.id, message, client.read_ns)) is not None:
             client.put(refusal)
 

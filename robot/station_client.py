@@ -10,6 +10,7 @@ from collections.abc import Callable
 import msgspec
 
 from robot.commands import notice
+from robot.datagram_sender import Address, DatagramSender
 from robot.link_meter import LinkMeter
 from robot.outbox import ImuCursor
 from robot.video import VideoStream
@@ -18,6 +19,7 @@ from shared.errors import RemoteProtocolError
 from shared.listening import is_loopback
 from shared.messages import (
     CameraFrame,
+    Datagrams,
     DriveApplied,
     ErrorNotice,
     HeartbeatReply,
@@ -68,6 +70,7 @@ class StationClient:
         self.imu: ImuCursor | None = None
         self.meter = LinkMeter()
         self.video: VideoStream | None = None
+        self.datagrams: DatagramSender | None = None
         self.messages_dropped = 0
         self.read_ns = now_ns()  # when the bytes now being taken in were read
         self.session = Session("robot", now_ns())
@@ -76,6 +79,7 @@ class StationClient:
         self._now_ns = now_ns
         self._clock = clock
         self._queue: deque[Message] = deque()
+        self._tasks: asyncio.TaskGroup | None = None
         self._wake = asyncio.Event()
         self._ending = asyncio.Event()
         self._last_word = b""
@@ -112,6 +116,8 @@ class StationClient:
     def wake(self) -> None:
         """There may be something new to send."""
         self._wake.set()
+        if self.datagrams is not None:
+            self.datagrams.wake()
 
     def put(self, message: Message) -> None:
         """Queue a message; when the queue is full, the oldest drive report goes."""
@@ -121,6 +127,16 @@ class StationClient:
             self.messages_dropped += 1
         self._queue.append(message)
         self._wake.set()
+
+    def open_datagrams(self, told: Datagrams, port: int, send: Callable[[bytes, Address], None]) -> None:
+        """Pictures may go to this port of the station's from now on. Once, after it has joined."""
+        peer, video, tasks = self._writer.get_extra_info("peername"), self.video, self._tasks
+        if video is None or tasks is None:
+            return
+        self.put(told)
+        address = (peer[0], port, *peer[2:])
+        self.datagrams = DatagramSender(told, address, video, self.meter, send, self.put, self._now_ns, self._clock)
+        tasks.create_task(self.datagrams.run())
 
     def end(self, event: Event, last_word: ErrorNotice | Refusal | Paired) -> None:
         """Close the connection, after telling the station why."""
@@ -153,6 +169,7 @@ class StationClient:
         self.put(hello)
         try:
             async with asyncio.TaskGroup() as tasks:
+                self._tasks = tasks
                 tasks.create_task(self._write())  # the hello first, whatever the station has said already
                 tasks.create_task(self._read(handle))
                 tasks.create_task(self._wait_for_end())
@@ -183,7 +200,10 @@ class StationClient:
             self._wake.clear()
             while (message := self._next_message()) is not None:
                 data = self.session.send(message)
-                self.meter.send(len(data), isinstance(message, CameraFrame), self._now_ns())
+                is_frame = isinstance(message, CameraFrame)
+                self.meter.send(len(data), is_frame, self._now_ns())
+                if self.datagrams is not None and not is_frame:
+                    self.datagrams.path.meter.note_beside(len(data))
                 self._writer.write(data)
                 await self._writer.drain()
 
@@ -198,7 +218,9 @@ class StationClient:
             return message
         if self.imu is not None and (batch := self.imu.next_batch()) is not None:
             return batch
-        return None if self.video is None else self.video.next_frame(self._now_ns())
+        if self.video is None or (self.datagrams is not None and self.datagrams.is_used):
+            return None
+        return self.video.next_frame(self._now_ns())
 
     async def _wait_for_end(self) -> None:
         await self._ending.wait()

@@ -85,7 +85,14 @@ class VideoStream:
         self._budget = UNLIMITED if is_on_this_machine else BEFORE_MEASURED
         self._considered_ns = 0
         self._sizes = SizeModel()
+        self.is_thin = False  # whether pictures ever had to be made smaller or rarer, by a settled estimate
         self.skipped = 0
+
+    def change_way(self, meter: LinkMeter) -> None:
+        """From now on they go another way, of which nothing is known or what this meter knows."""
+        self._meter = meter
+        self._in_flight.clear()
+        self._budget = BEFORE_MEASURED
 
     @property
     def is_at_end(self) -> bool:
@@ -154,6 +161,8 @@ class VideoStream:
         own_bytes = len(picture.frame.jpeg)
         least_bytes = min(own_bytes, self._sizes.size(own_bytes, LEAST_QUALITY))
         wanted = budget(estimate, own_bytes, least_bytes, self._slot.period_ns, self._budget)
+        is_whole = wanted.interval_ns == 0 and wanted.num_bytes >= own_bytes
+        self.is_thin |= self._meter.is_settled and not is_whole
         if now_ns - self._considered_ns >= RECONSIDERED_NS or self._budget in (UNLIMITED, BEFORE_MEASURED):
             self._considered_ns = now_ns
             self._budget = wanted

@@ -20,6 +20,7 @@ MAX_NAME_LENGTH = 64
 MAX_SENTENCE_LENGTH = 1000
 MAX_IMU_SAMPLES_PER_BATCH = 256
 MAX_FRAMES_IN_FLIGHT = 8  # and no more bytes than the link holds, beside one picture (robot/video.py)
+MAX_REPORTED_PICTURES = 8
 MAX_IMU_IN_FLIGHT = 1024  # samples: 4.5 s at 225 Hz
 MAX_LIST_LENGTH = 32
 MAX_LINEAR_M_S = 3.0  # a robot in a home is slower; its own limits travel in the hello
@@ -35,7 +36,9 @@ Sentence = Annotated[str, Meta(max_length=MAX_SENTENCE_LENGTH)]  # whoever holds
 Count = Annotated[int, Meta(ge=0, le=MAX_COUNT)]
 NextSequence = Annotated[int, Meta(ge=-1, le=MAX_COUNT)]  # -1: none yet
 Time = Annotated[int, Meta(ge=-MAX_TIME_NS, le=MAX_TIME_NS)]  # ns
+Port = Annotated[int, Meta(ge=0, le=65535)]
 Proof = Annotated[bytes, Meta(min_length=32, max_length=32)]
+Key = Annotated[bytes, Meta(min_length=32, max_length=32)]
 PakeMessage = Annotated[bytes, Meta(min_length=33, max_length=33)]
 
 
@@ -85,6 +88,7 @@ class Hello(_Message, frozen=True, kw_only=True, tag="hello"):
     calibration: Calibration
     challenge: Annotated[bytes, Meta(max_length=64)] = b""  # to be answered by `Prove`; empty: no access control
     calibration_origin: CalibrationOrigin | None = None  # None: an older robot, whose calibration is a file on it
+    datagram_port: Port = 0  # where it takes `AskDatagrams`' datagrams; 0: it sends none
 
 
 class Prove(_Message, frozen=True, kw_only=True, tag="prove"):
@@ -183,6 +187,43 @@ class Received(_Message, frozen=True, kw_only=True, omit_defaults=True, tag="rec
     num_bytes: NextSequence = -1  # of this connection, within TLS; -1: an older station, which does not count them
     held_ns: Count = 0  # since the last of them was read
     t_station_ns: Time = 0  # when that was; 0: an older station, which does not say
+
+
+class AskDatagrams(_Message, frozen=True, kw_only=True, tag="ask_datagrams"):
+    """Send pictures by datagrams to this port of ours where that is better; only to a robot that has such a port."""
+
+    port: Port
+
+
+class Datagrams(_Message, frozen=True, kw_only=True, tag="datagrams"):
+    """The robot's answer: what datagrams are sealed with (shared/datagrams.py). New for each `AskDatagrams`."""
+
+    session: Annotated[int, Meta(ge=0, le=2**32 - 1)]
+    key_to_station: Key
+    key_to_robot: Key
+
+    def __repr__(self) -> str:
+        return f"Datagrams({self.session})"  # the keys are for nobody's log
+
+
+class PictureArrival(msgspec.Struct, frozen=True, array_like=True, gc=False):
+    """Which pieces of a picture have come, and when."""
+
+    picture: Count
+    count: Count
+    first_piece: Count  # the one that came first
+    first_held_ns: Count  # before this report was made
+    last_piece: Count
+    last_held_ns: Count
+
+
+class DatagramReport(_Message, frozen=True, kw_only=True, tag="datagram_report"):
+    """From the station, as a datagram: what has come of the robot's. The robot answers with a `HeartbeatReply`."""
+
+    seq: Count
+    t_station_ns: Time
+    newest: NextSequence  # number of a datagram; -1: none has come
+    pictures: Annotated[tuple[PictureArrival, ...], Meta(max_length=MAX_REPORTED_PICTURES)]  # the newest, in order
 
 
 class CameraFrame(_Message, frozen=True, kw_only=True, omit_defaults=True, tag="frame"):
@@ -369,6 +410,7 @@ RobotMessage = (
     | Paired
     | HeartbeatReply
     | CameraFrame
+    | Datagrams
     | ImuBatch
     | DriveApplied
     | CalibrationChanged
@@ -382,6 +424,7 @@ StationMessage = (
     | PairProof
     | Heartbeat
     | Received
+    | AskDatagrams
     | Drive
     | Stop
     | PanTilt
@@ -396,6 +439,7 @@ Message = RobotMessage | StationMessage
 UNDECODABLE = (msgspec.DecodeError, ValueError, OverflowError, RecursionError, RobotSystemError)
 
 _encoder = msgspec.msgpack.Encoder()
+_report_decoder = msgspec.msgpack.Decoder(DatagramReport)
 _robot_decoder: msgspec.msgpack.Decoder[RobotMessage] = msgspec.msgpack.Decoder(RobotMessage)
 _station_decoder: msgspec.msgpack.Decoder[StationMessage] = msgspec.msgpack.Decoder(StationMessage)
 
@@ -409,7 +453,7 @@ class _VersionOnly(msgspec.Struct):
 _version_decoder = msgspec.msgpack.Decoder(_VersionOnly)
 
 
-def encode_message(message: Message) -> bytes:
+def encode_message(message: Message | DatagramReport) -> bytes:
     """The msgpack payload of a message, without its length prefix."""
     return _encoder.encode(message)
 
@@ -426,6 +470,14 @@ def decode_station_message(payload: bytes) -> StationMessage:
     """A payload sent by a station. Raises RemoteProtocolError when it is not a valid message."""
     try:
         return _station_decoder.decode(payload)
+    except UNDECODABLE as exc:
+        raise RemoteProtocolError(_explain("station", payload, exc)) from exc
+
+
+def decode_datagram_report(payload: bytes) -> DatagramReport:
+    """What a station's datagram says. Raises RemoteProtocolError when it is not a valid report."""
+    try:
+        return _report_decoder.decode(payload)
     except UNDECODABLE as exc:
         raise RemoteProtocolError(_explain("station", payload, exc)) from exc
 

@@ -6,15 +6,18 @@ import asyncio
 import logging
 import time
 from collections.abc import Callable, Collection
+from dataclasses import replace
 
 import msgspec
 
 from shared.access import prove
 from shared.errors import ConfigError, RemoteProtocolError
+from shared.listening import is_loopback
 from shared.messages import (
     PROTOCOL_VERSION,
     CalibrationChanged,
     CameraFrame,
+    Datagrams,
     DriveApplied,
     ErrorNotice,
     HeartbeatReply,
@@ -39,6 +42,7 @@ from station.access.connecting import (
 )
 from station.access.paired_robots import PairedRobots
 from station.config import show_address
+from station.robots.datagrams import PictureDatagrams
 from station.robots.link_clock import LinkClock
 from station.robots.link_commands import DueMessages, LinkCommands
 from station.robots.link_events import LinkListener
@@ -84,6 +88,7 @@ class RobotLink:
         self._now_ns = now_ns
         self._robots = robots
         self._connection: Connection | None = None
+        self._datagrams: PictureDatagrams | None = None
         self._retry_s = RETRY_S
         self._session = Session("station", now_ns())
         self._due = DueMessages()
@@ -132,7 +137,10 @@ class RobotLink:
     def _network(self, frame_rate_hz: float) -> NetworkState:
         if not self._connected:
             return NetworkState("none", self._reason)
-        return self._delays.state(frame_rate_hz, self._session.state is State.QUIET)
+        state = self._delays.state(frame_rate_hz, self._session.state is State.QUIET)
+        if state.grade in ("slow", "bad") and self._datagrams is not None and self._datagrams.is_blocked:
+            return replace(state, sentence=f"{state.sentence}; {self._datagrams.why_blocked}")
+        return state
 
     def to_station_ns(self, t_robot_ns: int) -> int | None:
         """The station's monotonic time of a robot time; None before the clocks are known."""
@@ -213,6 +221,9 @@ class RobotLink:
             for task in tasks:
                 task.cancel()
             writer.transport.abort()
+            if self._datagrams is not None:
+                self._datagrams.close()
+                self._datagrams = None
             ends = await asyncio.gather(*tasks, return_exceptions=True)
         for end in ends:
             if isinstance(end, OSError):
@@ -254,6 +265,8 @@ class RobotLink:
                 if duty is Tick.SEND_HEARTBEAT:
                     self.commands.beat()
                     self._confirm()
+                    if self._datagrams is not None:
+                        self._datagrams.report()
                 elif duty is Tick.WENT_QUIET:
                     self._silence.set()
                 elif duty is Tick.CLOSE:
@@ -261,7 +274,7 @@ class RobotLink:
                     raise _Ended
             if self._is_unheard(now_ns):
                 self._silence.set()
-            self._rates.sample(now_ns, self._arrived.frames, self._arrived.imu_samples, self._arrived.bytes)
+            self._rates.sample(now_ns, self._arrived.frames, self._arrived.imu_samples, self._num_bytes)
             await asyncio.sleep(TICK_S)
 
     async def _look_for_another_way(self) -> None:
@@ -291,11 +304,7 @@ class RobotLink:
         self._hearing.note_message(now_ns)
         match message:
             case CameraFrame():
-                self._arrived.add_frame(message)
-                self._confirm()
-                if (taken_ns := self._clock.to_station_ns(message.t_robot_ns)) is not None:
-                    self._delays.add_picture(now_ns - taken_ns)
-                self._listener.on_frame(message, now_ns)
+                self._receive_frame(message, now_ns)
             case ImuBatch():
                 self._receive_imu(message)
             case DriveApplied():
@@ -315,6 +324,9 @@ class RobotLink:
                 self._receive_notice(message)
             case CalibrationChanged():
                 self._recalibrate(message)
+            case Datagrams():
+                if self._datagrams is not None:
+                    self._datagrams.begin(message)
             case Hello():
                 self._greet(message)
             case Welcome():
@@ -326,12 +338,41 @@ class RobotLink:
                 self._hearing.note_answer(now_ns)
                 self.commands.beat()  # at once: the robot needs something to tell late commands by
                 if self._hello is not None:
+                    self._ask_datagrams(self._hello)
                     self._listener.on_connected(self._hello)
             case Refusal():
                 self._retry_s = REFUSED_RETRY_S if self._hello is not None and self._hello.challenge else RETRY_S
                 self._session.close_reason = f"the robot refused this station: {message.reason}"
             case _:
                 pass
+
+    def _ask_datagrams(self, hello: Hello) -> None:
+        """For pictures, where a network lies between that may lose packets."""
+        if self._connection is None or not hello.datagram_port:
+            return
+        host, _, *scope = self._connection.writer.get_extra_info("peername")
+        if is_loopback(host):
+            return
+        robot = (host, hello.datagram_port, *scope)
+        try:
+            self._datagrams = PictureDatagrams(robot, self._receive_frame, self._clock.add_exchange, self._now_ns)
+        except OSError as exc:
+            logger.warning("no UDP socket (%s): pictures come over TCP alone", exc)
+            return
+        self._due.put(self._datagrams.question())
+
+    @property
+    def _num_bytes(self) -> int:
+        return self._arrived.bytes + (0 if self._datagrams is None else self._datagrams.num_bytes)
+
+    def _receive_frame(self, frame: CameraFrame, now_ns: int) -> None:
+        """By either way; what the other one has overtaken is left out."""
+        if not self._arrived.add_frame(frame):
+            return
+        self._confirm()
+        if (taken_ns := self._clock.to_station_ns(frame.t_robot_ns)) is not None:
+            self._delays.add_picture(now_ns - taken_ns)
+        self._listener.on_frame(frame, now_ns)
 
     def _confirm(self) -> None:
         self._due.put(self._arrived.confirmation(self._now_ns()))

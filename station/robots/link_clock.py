@@ -87,6 +87,10 @@ class LinkClock:
     def add_reply(self, reply: HeartbeatReply, now_ns: int) -> None:
         inside_robot_ns = reply.t_robot_sent_ns - reply.t_robot_received_ns
         self.rtt_ns = now_ns - reply.t_station_ns - inside_robot_ns
+        self.add_exchange(reply, now_ns)
+
+    def add_exchange(self, reply: HeartbeatReply, now_ns: int) -> None:
+        """An answer that did not come the way that commands go."""
         self._add(now_ns, least=(reply.t_station_ns, reply.t_station_ns - reply.t_robot_received_ns))
         self.add_stamp(reply.t_robot_sent_ns, now_ns)
 

@@ -13,6 +13,7 @@ from shared.calibration_yaml import calibration_digest
 from shared.errors import LocalProtocolError
 from shared.messages import (
     MAX_DRIVE_TTL_MS,
+    AskDatagrams,
     CalibrationChanged,
     Capabilities,
     Drive,
@@ -42,6 +43,7 @@ SENDING_ORDER: tuple[type[StationMessage], ...] = (
     PanTilt,
     Heartbeat,
     Received,
+    AskDatagrams,
     UseCalibration,
     UndoCalibration,
 )

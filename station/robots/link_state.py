@@ -48,12 +48,13 @@ class Arrivals:
     def __init__(self) -> None:
         self.bytes = self.frames = self.frames_skipped = 0
         self.imu_samples = self.imu_gaps = self.imu_lost = 0
-        self.next_imu_sequence = self._newest_frame = -1
+        self.next_imu_sequence = self._newest_frame = self._connection_frame = -1
         self._connection_bytes = self._read_ns = 0
 
     def begin_connection(self) -> None:
-        """The robot counts the bytes of each connection from its beginning."""
+        """The robot counts the bytes of each connection from its beginning, and what it skipped."""
         self._connection_bytes = 0
+        self._connection_frame = -1
 
     def add_bytes(self, count: int, now_ns: int) -> None:
         self.bytes += count
@@ -64,10 +65,15 @@ class Arrivals:
         """The robot was started anew, or is another one: it numbers frames and samples from the beginning."""
         self.next_imu_sequence = self._newest_frame = -1
 
-    def add_frame(self, frame: CameraFrame) -> None:
+    def add_frame(self, frame: CameraFrame) -> bool:
+        """False: a newer one was here before it."""
+        if frame.seq <= self._newest_frame:
+            return False
         self.frames += 1
-        self.frames_skipped += frame.skipped
-        self._newest_frame = frame.seq
+        lost_too = frame.seq - self._connection_frame - 1 if self._connection_frame >= 0 else 0
+        self.frames_skipped += max(frame.skipped, lost_too)
+        self._newest_frame = self._connection_frame = frame.seq
+        return True
 
     def add_imu(self, batch: ImuBatch) -> int:
         """Returns how many samples are missing before it."""

@@ -5,18 +5,23 @@ Made once by `encode_message` of the messages below; msgpack maps keep the order
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import msgspec
 import pytest
 
 from shared.calibration import Calibration, CameraCalibration, ImuNoise
+from shared.datagrams import Sealer
 from shared.framing import encode_payload
 from shared.messages import (
     PROTOCOL_VERSION,
+    AskDatagrams,
     CalibrationChanged,
     CalibrationOrigin,
     CameraFrame,
+    DatagramReport,
+    Datagrams,
     Drive,
     DriveApplied,
     ErrorNotice,
@@ -32,6 +37,7 @@ from shared.messages import (
     PairReply,
     PairRequest,
     PanTilt,
+    PictureArrival,
     Prove,
     Received,
     Refusal,
@@ -40,10 +46,12 @@ from shared.messages import (
     UndoCalibration,
     UseCalibration,
     Welcome,
+    decode_datagram_report,
     decode_robot_message,
     decode_station_message,
     encode_message,
 )
+from shared.picture_pieces import cut
 
 GOLDEN = Path(__file__).with_name("wire_v2.json")
 T = 1_403_715_283_262_142_976
@@ -64,6 +72,7 @@ FROM_STATION: list[Message] = [
     PairProof(mac=bytes(range(32))),
     UseCalibration(calibration=TOLD),
     UndoCalibration(),
+    AskDatagrams(port=7401),
 ]
 FROM_ROBOT: list[Message] = [
     Welcome(client_id=4),
@@ -77,7 +86,11 @@ FROM_ROBOT: list[Message] = [
     Status(t_robot_ns=T, uptime_s=1.5, battery_v=7.5, temperatures_c={"cpu": 50.5}, driver="desk", faults=("x",)),
     CalibrationChanged(calibration=TOLD, origin=CalibrationOrigin(source="its calibration.yaml", can_undo=True)),
     ErrorNotice(code="device", message="camera gone", fatal=False),
+    Datagrams(session=7, key_to_station=bytes(range(32)), key_to_robot=bytes(range(32, 64))),
 ]
+REPORT = DatagramReport(
+    seq=9, t_station_ns=T, newest=41, pictures=(PictureArrival(3, 7, 0, 60_000_000, 8, 20_000_000),)
+)
 
 
 def golden() -> dict[str, str]:
@@ -94,6 +107,18 @@ def test_messages_have_the_bytes_they_always_had(message: Message) -> None:
 def test_the_old_bytes_are_still_understood(message: Message) -> None:
     decode = decode_station_message if message in FROM_STATION else decode_robot_message
     assert decode(bytes.fromhex(golden()[type(message).__name__])) == message
+
+
+def test_the_report_of_datagrams_has_the_bytes_it_always_had() -> None:
+    assert encode_message(REPORT).hex() == golden()["DatagramReport"]
+    assert decode_datagram_report(bytes.fromhex(golden()["DatagramReport"])) == REPORT
+
+
+def test_datagrams_are_sealed_as_they_always_were() -> None:
+    """A picture of three pieces and two of parity, the last of these as it is sent."""
+    sealer, content = Sealer(bytes(range(32)), 7), bytes(n * n % 251 for n in range(3000))
+    last = [sealer.seal(piece) for piece in cut(content, 5, 2)][-1]
+    assert hashlib.sha256(last).hexdigest() == golden()["SHA-256 of a datagram"]
 
 
 def test_a_payload_has_the_header_it_always_had() -> None:

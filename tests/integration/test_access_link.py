@@ -18,7 +18,9 @@ from shared.errors import ConfigError
 from shared.framing import MAX_STATION_PAYLOAD, encode_payload
 from shared.messages import (
     PROTOCOL_VERSION,
+    AskDatagrams,
     CalibrationChanged,
+    Datagrams,
     Drive,
     ErrorNotice,
     Heartbeat,
@@ -51,6 +53,7 @@ ONE_OF_EACH: list[StationMessage] = [
     PairProof(mac=bytes(32)),
     Heartbeat(seq=1, t_station_ns=1),
     Received(frame_seq=-1, next_imu_sequence=-1),
+    AskDatagrams(port=1),
     Drive(seq=2, t_station_ns=1, linear=0.1, angular=0.0, ttl_ms=200),
     Stop(seq=3),
     PanTilt(pan=0.1, tilt=0.0),
@@ -95,6 +98,8 @@ async def test_a_known_station_may_say_what_its_role_may(tmp_path: Path, message
             answer = await talk.hear()
             assert isinstance(answer, CalibrationChanged | ErrorNotice)
             assert isinstance(answer, CalibrationChanged) or answer.code == "out_of_range"  # there is nothing to undo
+        elif isinstance(message, AskDatagrams):
+            assert isinstance(await talk.hear(), Datagrams)
         elif role.includes(needed):
             await until(lambda: message in bench.heard or isinstance(message, Received))
         else:

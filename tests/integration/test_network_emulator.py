@@ -15,6 +15,9 @@ from dataclasses import replace
 import psutil
 import pytest
 
+from robot.parity import Losses
+from shared.datagrams import Opener, Sealer
+from shared.picture_pieces import Assembler, cut, num_pieces
 from tests.support.network.conditions import PROFILES, Conditions
 from tests.support.network.emulator import Network, missing_reason
 from tests.support.paths import ROOT
@@ -200,3 +203,33 @@ def test_nothing_is_left_of_a_network_whose_process_was_killed() -> None:
         carrier = psutil.Process(int(process.stdout.readline()))
         process.send_signal(signal.SIGKILL)
     until(lambda: not carrier.is_running() or carrier.status() == psutil.STATUS_ZOMBIE)
+
+
+@pytest.mark.parametrize(("name", "least_share"), [("busy 2.4 GHz", 0.95), ("two walls", 0.95), ("bad", 0.9)])
+def test_pictures_by_datagrams_survive_the_losses_of_a_network(name: str, least_share: float) -> None:
+    """Counted, not timed: without bottleneck and jitter, by which a busy machine would lose some too."""
+    key, picture = bytes(32), bytes(n % 251 for n in range(8000))
+    sealer, opener, assembler, losses = Sealer(key, 1), Opener(key, 1), Assembler(), Losses()
+    whole = unharmed = sent = received = 0
+    with Network(replace(PROFILES[name], rate_mbit_s=0, delay_ms=0, jitter_ms=0), seed=1) as network:
+        robot, station = udp_pair(network)
+        with robot, station:
+            for number in range(300):
+                pieces = cut(picture, number, losses.parity(num_pieces(len(picture))))
+                for piece in pieces:
+                    robot.send(sealer.seal(piece))
+                sent += len(pieces)
+                until(lambda: sum_of_fates(network) == sent)  # noqa: B023
+                came = network.counts()["to_station"].delivered - received
+                received += came
+                opened = [opener.open(station.recv(2000)) for _ in range(came)]
+                whole += sum(assembler.add(piece, 0) == picture for piece in opened if piece is not None)
+                unharmed += came == len(pieces)
+                losses.note(len(pieces), len(pieces) - came)
+    assert unharmed < whole and whole >= least_share * 300
+
+
+def sum_of_fates(network: Network) -> int:
+    """How many packets to the station have arrived or been lost."""
+    counts = network.counts()["to_station"]
+    return counts.delivered + counts.lost

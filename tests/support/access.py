@@ -23,6 +23,7 @@ from shared.listening import bind
 from shared.messages import (
     PROTOCOL_VERSION,
     CalibrationChanged,
+    Datagrams,
     DriveApplied,
     ErrorNotice,
     Hello,
@@ -146,7 +147,7 @@ class Talk:
 
     async def hear(self) -> Message | None:
         """The next message that is not a report; None: the robot closed."""
-        return await self._hear(Hello, Welcome, Refusal, CalibrationChanged, ErrorNotice, PairReply, Paired)
+        return await self._hear(Hello, Welcome, Refusal, CalibrationChanged, Datagrams, ErrorNotice, PairReply, Paired)
 
     async def hear_report(self) -> Message | None:
         """The next report of what the motors do, or the last word; None: the robot closed."""

@@ -1,8 +1,9 @@
 """robot-server with simulated devices, and a log of what its motors are told.
 
-    python -m tests.support.network.robot CONFIG.toml LOG
+    python -m tests.support.network.robot CONFIG.toml LOG [tcp]
 
 It is the program itself (`robot.app`) with other motors: these note each word to them and pass it on.
+With `tcp` it has no UDP port, as an older one.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from pathlib import Path
 
 from robot import app
 from robot.config import RobotConfig, load_config
+from robot.datagram_port import DatagramPort
 from robot.devices.ports import DeviceSet, Motors
 from tests.support.network.judging import Told
 
@@ -38,7 +40,9 @@ class NotedMotors:
         self._motors.close()
 
 
-def main(settings: str, log: str) -> None:
+def main(settings: str, log: str, way: str = "") -> None:
+    if way == "tcp":
+        DatagramPort.open = lambda *_: None  # type: ignore[method-assign]
     open_real = app.open_devices
 
     def open_noted(kind: app.DeviceKind, config: RobotConfig) -> DeviceSet:
