@@ -31,6 +31,7 @@ logger = logging.getLogger(__name__)
 LEASE_NS = 1_000_000_000  # who has not commanded for so long gives the wheel away
 SETTLING_NS = 50_000_000  # a held-up burst is read at once; what comes so much later shows how late the burst was
 PAUSE_NS = 20_000_000  # a line through the quickest arrivals is not that wrong; a clock that stood still is
+MAX_AHEAD = 1024  # commands by datagram that the connection has not brought yet: it is dead long before
 About = Literal["hijack", "calibration"] | msgspec.UnsetType  # which question a notice answers
 
 
@@ -44,6 +45,10 @@ class CommandOrder:
     Where the station's clock stood still (it slept, or was a machine that was halted) all it says seems late from then
     on. But what it says after it has heard us it says later than we spoke: that shows the pause, and no network can
     feign it. All is learnt anew then.
+
+    Commands come by datagram too, in any order. These may be held up for as long as somebody likes while the
+    connection goes on: they never show a pause, and what was said before one counts no more. Of a command's two copies
+    the first to come counts; the connection keeps the order, so up to what it has brought a datagram is the later one.
     """
 
     def __init__(self) -> None:
@@ -51,21 +56,35 @@ class CommandOrder:
         self._first_ns: int | None = None
         self._last_seq = -1
         self._has_heard_ns: int | None = None
+        self._newest_ns: int | None = None  # station's time: newest said, by either way
+        self._newest_datagram_ns: int | None = None
+        self._anew_ns: int | None = None  # station's time: what was said before is of a clock that we know no more
+        self._by_connection = -1  # newest number that it brought
+        self._by_datagram: set[int] = set()  # numbers that were taken so and are still to come by the connection
 
     def note_heard(self, sent_ns: int) -> None:
         """The station has heard what we sent then: what comes from now on it says later."""
         self._has_heard_ns = sent_ns
 
-    def observe(self, t_station_ns: int, arrived_ns: int) -> None:
+    def observe(self, t_station_ns: int, arrived_ns: int, *, is_datagram: bool = False) -> None:
         """Something the station stamped has arrived: heartbeats show the least delay also while nobody drives."""
-        if self._has_paused(t_station_ns):
+        if not is_datagram and self._has_paused(t_station_ns):
             self._clock, self._first_ns = RemoteClock(MAX_CRYSTAL_DRIFT), None
+            self._anew_ns = self._newest_ns = t_station_ns
+            self._newest_datagram_ns = None
+        overtaking_ns = self._newest_ns if is_datagram else self._newest_datagram_ns
+        if overtaking_ns is not None and t_station_ns < overtaking_ns:
+            return  # it says nothing of the quickest way, and must not look like a clock that was set
+        self._newest_ns = t_station_ns
+        if is_datagram:
+            self._newest_datagram_ns = t_station_ns
         if self._first_ns is None:
             self._first_ns = arrived_ns
         steps = self._clock.steps
         self._clock.add(t_station_ns, arrived_ns)
         if self._clock.steps != steps:
             self._first_ns = arrived_ns  # another clock: what was learnt of the old one says nothing
+            self._anew_ns = t_station_ns
 
     def _has_paused(self, t_station_ns: int) -> bool:
         fit, said_after_ns = self._clock.fit, self._has_heard_ns
@@ -73,13 +92,29 @@ class CommandOrder:
             fit is not None and said_after_ns is not None and fit.to_local_ns(t_station_ns) + PAUSE_NS < said_after_ns
         )
 
-    def until_ns(self, command: Drive, arrived_ns: int) -> int | None:
+    def is_first(self, seq: int, *, is_datagram: bool) -> bool:
+        """Whether this is the first copy of a drive or stop to come."""
+        if is_datagram:
+            if seq <= self._by_connection or seq in self._by_datagram:
+                return False
+            self._by_datagram.add(seq)
+            if len(self._by_datagram) > MAX_AHEAD:  # a copy of it would count again: a drive is too old, a stop stops
+                self._by_datagram.remove(min(self._by_datagram))
+            return True
+        is_first = seq not in self._by_datagram
+        self._by_connection = max(self._by_connection, seq)
+        self._by_datagram = {number for number in self._by_datagram if number > self._by_connection}
+        return is_first
+
+    def until_ns(self, command: Drive, arrived_ns: int, *, is_datagram: bool = False) -> int | None:
         """Our time until which this command holds, counted from when it was said. None: it is old.
 
         Args:
             arrived_ns: when its bytes were read, the same for all that were read together.
         """
-        self.observe(command.t_station_ns, arrived_ns)
+        self.observe(command.t_station_ns, arrived_ns, is_datagram=is_datagram)
+        if is_datagram and self._anew_ns is not None and command.t_station_ns < self._anew_ns:
+            return None
         is_newest, fit = self.is_newest(command.seq), self._clock.fit
         if not is_newest or fit is None or self._first_ns is None or arrived_ns - self._first_ns < SETTLING_NS:
             return None
@@ -127,11 +162,18 @@ class CommandDesk:
         """This station has heard what we sent then, and all before it."""
         self._orders.setdefault(client, CommandOrder()).note_heard(sent_ns)
 
-    def handle(self, client: int, message: StationMessage, now_ns: int) -> ErrorNotice | None:
+    def note_time(self, client: int, t_station_ns: int, now_ns: int) -> None:
+        """A datagram has come that the station stamped."""
+        self._orders.setdefault(client, CommandOrder()).observe(t_station_ns, now_ns, is_datagram=True)
+
+    def handle(
+        self, client: int, message: StationMessage, now_ns: int, *, is_datagram: bool = False
+    ) -> ErrorNotice | None:
         """Carry out one message; the answer is a notice when it was refused.
 
         Args:
             now_ns: when its bytes were read, the same for all that were read together.
+            is_datagram: a drive or stop that is on its way by the connection as well.
         """
         order = self._orders.setdefault(client, CommandOrder())
         match message:
@@ -139,7 +181,9 @@ class CommandDesk:
                 order.observe(message.t_station_ns, now_ns)
                 return None
             case Drive():
-                return self._drive(client, order, message, now_ns)
+                return self._drive(client, order, message, now_ns, is_datagram)
+            case Stop() if not order.is_first(message.seq, is_datagram=is_datagram):
+                return None
             case Stop():
                 return self._stop(client, order, message, now_ns)
             case PanTilt():
@@ -174,11 +218,17 @@ class CommandDesk:
         if self.lease.leave(client) and self.watchdog is not None:
             self.watchdog.stop()
 
-    def _drive(self, client: int, order: CommandOrder, message: Drive, now_ns: int) -> ErrorNotice | None:
+    def _drive(
+        self, client: int, order: CommandOrder, message: Drive, now_ns: int, is_datagram: bool
+    ) -> ErrorNotice | None:
         if self.watchdog is None:
             return self._refuse("not_capable", "this robot has no motors")
         wish = Velocity(message.linear, message.angular)
-        if (until_ns := order.until_ns(message, now_ns)) is None:
+        is_first = order.is_first(message.seq, is_datagram=is_datagram)
+        until_ns = order.until_ns(message, now_ns, is_datagram=is_datagram)
+        if not is_first:
+            return None
+        if until_ns is None:
             if wish.is_zero and self.lease.last_driver == client:
                 self.watchdog.stop()  # letting go counts however late it comes
             return None  # the past needs no answer; what counts comes next

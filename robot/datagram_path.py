@@ -16,7 +16,8 @@ from shared.messages import (
     Datagrams,
     HeartbeatReply,
     PictureArrival,
-    decode_datagram_report,
+    StationDatagram,
+    decode_station_datagram,
     encode_message,
 )
 from shared.picture_pieces import MAX_PICTURE_BYTES, MESSAGE, cut, num_pieces
@@ -95,15 +96,17 @@ class DatagramPath:
         """A datagram that tells both clocks, and by its arrival that the way is open."""
         return self._sealer.seal(bytes([MESSAGE]) + encode_message(reply))
 
-    def receive(self, datagram: bytes, now_ns: int) -> DatagramReport | None:
-        """The station's report; None: it is not the station's, or an older one than is known."""
+    def receive(self, datagram: bytes, now_ns: int) -> StationDatagram | None:
+        """The station's report or command; None: it is not the station's, or was here before."""
         content = self._opener.open(datagram)
         if content is None:
             return None
         try:
-            report = decode_datagram_report(content)
+            report = decode_station_datagram(content)
         except RemoteProtocolError:
             return None
+        if not isinstance(report, DatagramReport):
+            return report
         if self._heard < report.newest < self._sealer.next_number:
             self._heard = report.newest
             self._silent_beats = 0

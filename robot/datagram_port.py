@@ -1,4 +1,4 @@
-"""The UDP port beside the TCP one: pictures leave by it, stations' reports come in; strangers are ignored."""
+"""The UDP port beside the TCP one: pictures leave, stations' reports and commands come; strangers are ignored."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from collections.abc import Callable
 from robot.datagram_sender import Address
 from robot.station_client import StationClient
 from shared.datagrams import KEY_BYTES, MAX_DATAGRAM, session_of
-from shared.messages import AskDatagrams, Datagrams
+from shared.messages import AskDatagrams, Datagrams, StationDatagram
 
 logger = logging.getLogger(__name__)
 
@@ -23,8 +23,12 @@ THIN_FOR_NS = 60_000_000_000  # a station that is back sooner is not asked to fi
 class DatagramPort:
     """Hands datagrams to the station whose session they name, where they come from its connection's own address."""
 
-    def __init__(self, now_ns: Callable[[], int]) -> None:
+    def __init__(
+        self, now_ns: Callable[[], int], on_message: Callable[[StationClient, StationDatagram, int], None]
+    ) -> None:
+        """`on_message` gets what a station says by datagram, and when it was read."""
         self._now_ns = now_ns
+        self._on_message = on_message
         self._left_thin_ns: dict[str, int] = {}  # host → when its connection over a thin network ended
         self.number = 0  # 0: there is none
         self._socket: socket.socket | None = None
@@ -61,7 +65,9 @@ class DatagramPort:
         keys = [secrets.token_bytes(KEY_BYTES) for _ in range(2)]
         told = Datagrams(session=session, key_to_station=keys[0], key_to_robot=keys[1])
         self._clients[session] = client
-        client.open_datagrams(told, ask.port, self._send)
+        client.open_datagrams(
+            told, ask.port, self._send, lambda message, read_ns: self._on_message(client, message, read_ns)
+        )
 
     def forget(self, client: StationClient) -> None:
         now_ns = self._now_ns()

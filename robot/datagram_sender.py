@@ -9,7 +9,7 @@ from collections.abc import Callable
 from robot.datagram_path import DatagramPath
 from robot.link_meter import LinkMeter
 from robot.video import VideoStream
-from shared.messages import CameraFrame, Datagrams, HeartbeatReply
+from shared.messages import CameraFrame, DatagramReport, Datagrams, HeartbeatReply, StationDatagram
 from shared.session import HEARTBEAT_INTERVAL_NS
 
 logger = logging.getLogger(__name__)
@@ -31,6 +31,7 @@ class DatagramSender:
         connection: LinkMeter,
         send: Callable[[bytes, Address], None],
         send_whole: Callable[[CameraFrame], None],
+        on_message: Callable[[StationDatagram, int], None],
         now_ns: Callable[[], int],
         clock: Callable[[], int],
     ) -> None:
@@ -38,6 +39,7 @@ class DatagramSender:
         Args:
             address: where the station listens; its network may let it appear at another port of the same host.
             send_whole: sends a picture by the connection.
+            on_message: gets what the station says, and when it was read.
             now_ns, clock: as for a StationClient.
         """
         self.path = DatagramPath(told)
@@ -47,6 +49,7 @@ class DatagramSender:
         self._connection = connection
         self._send = send
         self._send_whole = send_whole
+        self._on_message = on_message
         self._now_ns = now_ns
         self._clock = clock
         self._wake = asyncio.Event()
@@ -63,6 +66,9 @@ class DatagramSender:
             return
         now_ns, t_robot_ns = self._now_ns(), self._clock()
         if (report := self.path.receive(datagram, now_ns)) is None:
+            return
+        self._on_message(report, now_ns)
+        if not isinstance(report, DatagramReport):
             return
         self._address = address
         self._reply(report.seq, report.t_station_ns, t_robot_ns)

@@ -36,6 +36,7 @@ from shared.errors import HardwareError
 from shared.messages import (
     PROTOCOL_VERSION,
     AskDatagrams,
+    DatagramReport,
     DriveApplied,
     ErrorCode,
     ErrorNotice,
@@ -48,6 +49,7 @@ from shared.messages import (
     Prove,
     Received,
     Refusal,
+    StationDatagram,
     StationMessage,
     Status,
     UndoCalibration,
@@ -101,7 +103,7 @@ class RobotServer:
         self._frames = FrameSlot(self._recompressor.begin)
         self._backlog = ImuBacklog(config.server.imu_backlog_samples)
         self._clients: dict[int, StationClient] = {}
-        self._datagrams = DatagramPort(now_ns)
+        self._datagrams = DatagramPort(now_ns, self._handle_datagram)
         self._seats = Seats(config.server.max_stations, SEATS_PER_TOKEN)
         self._next_client_id = 1
         self._started_ns = now_ns()
@@ -227,6 +229,21 @@ class RobotServer:
                 client.datagrams.note_beat(reply)
         if (refusal := self.desk.handle(client.id, message, client.read_ns)) is not None:
             client.put(refusal)
+
+    def _handle_datagram(self, client: StationClient, message: StationDatagram, read_ns: int) -> None:
+        """A copy of what goes by the connection too, of a session that has joined and has not ended.
+
+        What its role does not allow is refused where the other copy comes. Nothing here answers for the order in which
+        the connection is read, so a heartbeat's reply still confirms a stop.
+        """
+        if not client.is_joined:
+            return
+        if isinstance(message, DatagramReport):
+            self.desk.note_time(client.id, message.t_station_ns, read_ns)
+        elif may(client.role, message):
+            refusal = self.desk.handle(client.id, message, read_ns, is_datagram=True)
+            if refusal is not None:
+                client.put(refusal)
 
     def _refuse(self, client: StationClient, message: StationMessage) -> None:
         if client.role is None:

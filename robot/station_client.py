@@ -28,6 +28,7 @@ from shared.messages import (
     Paired,
     Received,
     Refusal,
+    StationDatagram,
     StationMessage,
 )
 from shared.pairing import Pake
@@ -128,14 +129,22 @@ class StationClient:
         self._queue.append(message)
         self._wake.set()
 
-    def open_datagrams(self, told: Datagrams, port: int, send: Callable[[bytes, Address], None]) -> None:
-        """Pictures may go to this port of the station's from now on. Once, after it has joined."""
+    def open_datagrams(
+        self,
+        told: Datagrams,
+        port: int,
+        send: Callable[[bytes, Address], None],
+        on_message: Callable[[StationDatagram, int], None],
+    ) -> None:
+        """Pictures may go to this port of the station's from now on, commands come. Once, after it has joined."""
         peer, video, tasks = self._writer.get_extra_info("peername"), self.video, self._tasks
         if video is None or tasks is None:
             return
         self.put(told)
         address = (peer[0], port, *peer[2:])
-        self.datagrams = DatagramSender(told, address, video, self.meter, send, self.put, self._now_ns, self._clock)
+        self.datagrams = DatagramSender(
+            told, address, video, self.meter, send, self.put, on_message, self._now_ns, self._clock
+        )
         tasks.create_task(self.datagrams.run())
 
     def end(self, event: Event, last_word: ErrorNotice | Refusal | Paired) -> None:
@@ -178,6 +187,8 @@ class StationClient:
         except* OSError as group:
             self.session.close(Event.LOST, f"connection lost: {group.exceptions[0]}")
         finally:
+            # However it ended: its last word may take a second, and a datagram of it must find no one.
+            self.session.close(Event.LOST, "the connection ended")
             leave(self)  # before the last word, which may take a while: motors must not wait for it
             await self._close()
 

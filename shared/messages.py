@@ -434,12 +434,13 @@ StationMessage = (
     | ErrorNotice
 )
 Message = RobotMessage | StationMessage
+StationDatagram = DatagramReport | Drive | Stop  # commands are copies of those on the connection
 
 # msgspec leaves broken UTF-8 a UnicodeDecodeError, which is a ValueError.
 UNDECODABLE = (msgspec.DecodeError, ValueError, OverflowError, RecursionError, RobotSystemError)
 
 _encoder = msgspec.msgpack.Encoder()
-_report_decoder = msgspec.msgpack.Decoder(DatagramReport)
+_datagram_decoder: msgspec.msgpack.Decoder[StationDatagram] = msgspec.msgpack.Decoder(StationDatagram)
 _robot_decoder: msgspec.msgpack.Decoder[RobotMessage] = msgspec.msgpack.Decoder(RobotMessage)
 _station_decoder: msgspec.msgpack.Decoder[StationMessage] = msgspec.msgpack.Decoder(StationMessage)
 
@@ -453,7 +454,7 @@ class _VersionOnly(msgspec.Struct):
 _version_decoder = msgspec.msgpack.Decoder(_VersionOnly)
 
 
-def encode_message(message: Message | DatagramReport) -> bytes:
+def encode_message(message: Message | StationDatagram) -> bytes:
     """The msgpack payload of a message, without its length prefix."""
     return _encoder.encode(message)
 
@@ -474,10 +475,10 @@ def decode_station_message(payload: bytes) -> StationMessage:
         raise RemoteProtocolError(_explain("station", payload, exc)) from exc
 
 
-def decode_datagram_report(payload: bytes) -> DatagramReport:
-    """What a station's datagram says. Raises RemoteProtocolError when it is not a valid report."""
+def decode_station_datagram(payload: bytes) -> StationDatagram:
+    """What a station's datagram says. Raises RemoteProtocolError when it is none of what may come so."""
     try:
-        return _report_decoder.decode(payload)
+        return _datagram_decoder.decode(payload)
     except UNDECODABLE as exc:
         raise RemoteProtocolError(_explain("station", payload, exc)) from exc
 

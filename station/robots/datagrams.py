@@ -1,4 +1,4 @@
-"""The station's end of pictures by datagrams: a UDP socket, and reports of what has come."""
+"""The station's end of datagrams: a UDP socket, pictures that come, reports of them and commands that go."""
 
 from __future__ import annotations
 
@@ -16,8 +16,11 @@ from shared.messages import (
     CameraFrame,
     DatagramReport,
     Datagrams,
+    Drive,
     HeartbeatReply,
     PictureArrival,
+    StationDatagram,
+    Stop,
     decode_robot_message,
     encode_message,
 )
@@ -54,6 +57,7 @@ class PictureDatagrams:
         self._assembler = Assembler()
         self._num_reports = 0
         self._reported = -1  # the newest picture whose end was reported
+        self._command: Drive | Stop | None = None  # the newest, said once so far
         family = socket.AF_INET6 if len(robot) == 4 else socket.AF_INET
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -97,8 +101,24 @@ class PictureDatagrams:
             newest=self._opener.newest,
             pictures=tuple(_arrival(picture, now_ns) for picture in self._assembler.newest),
         )
+        self._send(report)
+
+    def command(self, command: Drive | Stop) -> None:
+        """Beside the connection, and again with the next tick: on a thin network one of them comes in time."""
+        self._command = command
+        self._send(command)
+
+    def repeat_command(self) -> None:
+        """Say the newest command a second time, unless that was done."""
+        command, self._command = self._command, None
+        if command is not None:
+            self._send(command)
+
+    def _send(self, message: StationDatagram) -> None:
+        if self._sealer is None:
+            return
         with contextlib.suppress(OSError):  # what finds no room is lost, as on the way
-            self._socket.sendto(self._sealer.seal(encode_message(report)), self._robot)
+            self._socket.sendto(self._sealer.seal(encode_message(message)), self._robot)
 
     def _read(self) -> None:
         with contextlib.suppress(OSError):

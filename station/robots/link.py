@@ -18,6 +18,7 @@ from shared.messages import (
     CalibrationChanged,
     CameraFrame,
     Datagrams,
+    Drive,
     DriveApplied,
     ErrorNotice,
     HeartbeatReply,
@@ -28,6 +29,7 @@ from shared.messages import (
     Prove,
     Refusal,
     Status,
+    Stop,
     Welcome,
 )
 from shared.session import Event, Session, State, Tick
@@ -94,6 +96,7 @@ class RobotLink:
         self._due = DueMessages()
         self._silence = asyncio.Event()
         self.commands = LinkCommands(self._due, now_ns, late_ms=lambda: self._delays.late_ms)
+        self.commands.on_command = self._send_beside
         self._connected = False
         self._reason = "not connected yet"
         self._hello: Hello | None = None
@@ -272,6 +275,8 @@ class RobotLink:
                 elif duty is Tick.CLOSE:
                     self._retry_s = 0.0
                     raise _Ended
+            if self._datagrams is not None:
+                self._datagrams.repeat_command()
             if self._is_unheard(now_ns):
                 self._silence.set()
             self._rates.sample(now_ns, self._arrived.frames, self._arrived.imu_samples, self._num_bytes)
@@ -360,6 +365,10 @@ class RobotLink:
             logger.warning("no UDP socket (%s): pictures come over TCP alone", exc)
             return
         self._due.put(self._datagrams.question())
+
+    def _send_beside(self, command: Drive | Stop) -> None:
+        if self._datagrams is not None and self._session.state is not State.CLOSED:
+            self._datagrams.command(command)
 
     @property
     def _num_bytes(self) -> int:

@@ -83,6 +83,7 @@ class LinkCommands:
     def __init__(self, due: DueMessages, now_ns: Callable[[], int], late_ms: Callable[[], int] = lambda: 0) -> None:
         """`late_ms`: by how much a command may be late just now."""
         self.must_stand: Callable[[], bool] = lambda: False  # whether somebody handles the robot here
+        self.on_command: Callable[[Drive | Stop], None] = lambda _: None  # who sends it by a second way
         self._late_ms = late_ms
         self._due = due
         self._now_ns = now_ns
@@ -253,6 +254,8 @@ class LinkCommands:
     def _put(self, message: StationMessage, is_possible: bool = True) -> bool:
         if is_possible:
             self._due.put(message)
+            if isinstance(message, Drive | Stop):
+                self.on_command(message)
         return is_possible
 
     def _count(self) -> int:

@@ -46,8 +46,8 @@ from shared.messages import (
     UndoCalibration,
     UseCalibration,
     Welcome,
-    decode_datagram_report,
     decode_robot_message,
+    decode_station_datagram,
     decode_station_message,
     encode_message,
 )
@@ -111,7 +111,7 @@ def test_the_old_bytes_are_still_understood(message: Message) -> None:
 
 def test_the_report_of_datagrams_has_the_bytes_it_always_had() -> None:
     assert encode_message(REPORT).hex() == golden()["DatagramReport"]
-    assert decode_datagram_report(bytes.fromhex(golden()["DatagramReport"])) == REPORT
+    assert decode_station_datagram(bytes.fromhex(golden()["DatagramReport"])) == REPORT
 
 
 def test_datagrams_are_sealed_as_they_always_were() -> None:
