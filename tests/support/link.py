@@ -149,9 +149,11 @@ class HearingDesk(CommandDesk):
 
     heard: list[StationMessage] = field(default_factory=list)
 
-    def handle(self, client: int, message: StationMessage, now_ns: int) -> ErrorNotice | None:
+    def handle(
+        self, client: int, message: StationMessage, now_ns: int, *, is_datagram: bool = False
+    ) -> ErrorNotice | None:
         self.heard.append(message)
-        return super().handle(client, message, now_ns)
+        return super().handle(client, message, now_ns, is_datagram=is_datagram)
 
 
 class Bench:
