@@ -24,6 +24,8 @@ above the number of cores, times are upper bounds. What was tried on the way to 
 of earlier code, is in [studies](studies/README.md); [decision 9](decisions/0009-results-are-generated.md) says why.
 """
 TABLE = "| what | figure | bound | command | commit | date | load |\n| --- | --- | --- | --- | --- | --- | --- |"
+NO_BOUND = "–"
+BESIDES = "besides"
 
 
 def page(results: dict[str, ResultFile]) -> str:
@@ -48,13 +50,20 @@ def machines(results: dict[str, ResultFile]) -> list[str]:
 
 
 def table_rows(result: ResultFile) -> list[str]:
-    """A row for each figure; those of one thing (`thing: what`) that are held against the same bound share one."""
+    """A row for each figure; those of one thing (`thing: what`) that are held against the same bound share one.
+
+    So do the figures of nothing else's kind that are held against none, at the end.
+    """
     before, after = result.load
     end = f"`{result.command}` | {result.commit} | {result.date} | {before:g}, {after:g} |"
     rows: dict[tuple[str, str], list[Figure]] = {}
     for figure in result.figures:
         thing, colon, _ = figure.what.partition(": ")
         rows.setdefault((thing if colon else figure.what, bound(figure)), []).append(figure)
+    besides = [figures[0] for (_, asked), figures in rows.items() if asked == NO_BOUND and len(figures) == 1]
+    if len(besides) > 1:
+        rows = {key: figures for key, figures in rows.items() if figures[0] not in besides}
+        rows[BESIDES, NO_BOUND] = besides
     return [_row(thing, figures, end) for (thing, _), figures in rows.items()]
 
 
@@ -88,7 +97,7 @@ def bound(figure: Figure) -> str:
     asked = [f"≤ {figure.at_most:g}" if figure.at_most else "0"] if figure.at_most is not None else []
     asked += [f"≥ {figure.at_least:g}"] if figure.at_least is not None else []
     if not asked:
-        return "–"
+        return NO_BOUND
     return f"{', '.join(asked)}: {'met' if figure.is_met else '**not met**'}"
 
 
