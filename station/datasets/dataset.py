@@ -50,11 +50,16 @@ class Dataset:
         return self.read_frames is not None
 
     def events(self) -> Iterator[ImuBatch | DriveSample | ImageFrame]:
-        """Everything in sensor-time order, as a SlamBackend wants it: IMU and drive up to a frame come before it."""
+        """Everything in sensor-time order, as a SlamBackend wants it: IMU and drive up to a frame come before it.
+
+        Up to its stamp, and up to when it was taken by the IMU's clock: a camera may stamp earlier than that.
+        """
         pending = _InertialEvents(self.imu, self.drive)
+        camera = self.calibration.camera
+        late_ns = max(0, round(1e9 * camera.middle_row_shift_s)) if camera is not None else 0
         if self.read_frames is not None:
             for frame in self.read_frames():
-                yield from pending.until(frame.t_robot_ns)
+                yield from pending.until(frame.t_robot_ns + late_ns)
                 yield frame
         yield from pending.until(np.iinfo(np.int64).max)
 

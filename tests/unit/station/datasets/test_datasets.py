@@ -1,8 +1,10 @@
 """Datasets of every kind give the same data, and each damage gets one sentence."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 
@@ -115,6 +117,24 @@ def test_events_come_in_sensor_time_order_and_lose_nothing(asl: Path) -> None:
         commands += isinstance(event, DriveSample)
         samples += len(event) if isinstance(event, ImuBatch) else 0
     assert (frames, samples, commands) == (5, 25, 1)
+
+
+@pytest.mark.parametrize("shift_ms", [-40, 0, 25])
+def test_a_frame_comes_after_what_was_measured_until_it_was_taken(asl: Path, shift_ms: int) -> None:
+    """Also of a camera whose stamps are early: without the IMU up to its exposure nobody can say where it was then."""
+    data = open_dataset(asl)
+    camera = data.calibration.camera
+    times = imu_of(data).t_robot_ns
+    assert camera is not None
+    shifted = msgspec.structs.replace(camera, time_shift_s=shift_ms / 1e3, line_delay_s=0.0)
+    data = replace(data, calibration=msgspec.structs.replace(data.calibration, camera=shifted))
+    heard = 0
+    for event in data.events():
+        if isinstance(event, ImuBatch):
+            heard += len(event)
+        elif isinstance(event, ImageFrame):
+            until = event.t_robot_ns + max(shift_ms, 0) * 1_000_000
+            assert heard == np.count_nonzero(times <= until)
 
 
 def test_range_cuts_frames_and_keeps_inertial_margin(asl: Path) -> None:
