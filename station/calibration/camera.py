@@ -104,37 +104,53 @@ def calibrate_camera(
     size: tuple[int, int],
     lens: LensName | None = None,
     advance: Callable[[str], None] = lambda _: None,
+    choose: Callable[[Sequence[LensTrial]], LensName] | None = None,
 ) -> tuple[CameraFit | None, tuple[Rejected, ...]]:
     """The camera that took these views, None where too few are left; and the views that were rejected.
 
     Args:
         size: width and height of the images, px.
-        lens: None: radial-tangential, which every program reads, unless it does not fit and equidistant does.
+        lens: None: as `choose` says.
+        choose: None: most_read_lens.
     """
-    views, rejected = different_views(target, views, size)
+    different, rejected = different_views(target, views, size)
+    views = different
     if len(views) < LEAST_VIEWS:
         return None, rejected
     advance("fitting the camera")
     fit, corners, views, disagreeing = _agreeing(target, views, lens or "radtan", size)
-    rejected += disagreeing
     if len(views) < LEAST_VIEWS:
-        return None, rejected
+        return None, rejected + disagreeing
     trials = []
     for trial in LENS_NAMES:
         advance(f"trying the lens model {trial}")
         trials.append(try_lens(target, views, trial, size))
-    if lens is None and fits_better(trials):
-        fit = fit_camera(corners, "equidistant", size)
+    if lens is None and (chosen := (choose or most_read_lens)(trials)) != "radtan":
+        fit, corners, views, disagreeing = _agreeing(target, different, chosen, size)  # another lens, others disagree
     advance("judging")
     shape = board_shape(target, views, fit)
     sigma = np.sqrt(np.diag(covariance(corners, fit)))
-    return CameraFit(target, size, views, corners, fit, sigma, tuple(trials), shape), rejected
+    return CameraFit(target, size, views, corners, fit, sigma, tuple(trials), shape), rejected + disagreeing
 
 
-def fits_better(trials: Sequence[LensTrial]) -> bool:
-    """Whether the radial-tangential model does not fit: it leaves twice as much as the equidistant one."""
-    radtan, equidistant = (next(t for t in trials if t.lens == name) for name in ("radtan", "equidistant"))
-    return radtan.rms_px > 2.0 * equidistant.rms_px
+def most_read_lens(trials: Sequence[LensTrial]) -> LensName:
+    """Radial-tangential, which every program reads, unless it leaves twice as much as equidistant does."""
+    radtan, equidistant = (next(t for t in trials if t.lens == name) for name in ROBOT_LENSES)
+    return "equidistant" if radtan.rms_px > 2.0 * equidistant.rms_px else "radtan"
+
+
+def foretelling_lens(trials: Sequence[LensTrial]) -> LensName:
+    """For the robot, which reads both: radial-tangential, unless equidistant foretells unseen images clearly better.
+
+    What a model leaves where the board was says little of the image's border, where a robot's landmarks lie too.
+    """
+    best, radtan = best_lens(trials), next(t for t in trials if t.lens == "radtan")
+    return best.lens if is_clearly_better(best, radtan) else "radtan"
+
+
+def is_clearly_better(one: LensTrial, other: LensTrial) -> bool:
+    """Whether it foretells images that it has not seen a tenth better."""
+    return one.validation_px < 0.9 * other.validation_px
 
 
 def best_lens(trials: Sequence[LensTrial]) -> LensTrial:

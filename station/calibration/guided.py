@@ -11,7 +11,7 @@ from shared.calibration import CameraCalibration
 from shared.disk import replace_file
 from shared.errors import DataError
 from station.calibration.boards import make_finder, view_board
-from station.calibration.camera import LEAST_VIEWS, CameraFit, Rejected, calibrate_camera
+from station.calibration.camera import LEAST_VIEWS, CameraFit, Rejected, calibrate_camera, foretelling_lens
 from station.calibration.camera_page import write_camera_page
 from station.calibration.camera_verdict import reasons_against
 from station.calibration.target import BoardView, Target
@@ -36,7 +36,9 @@ def estimate_camera(
     """
     views = views_of_recording(recording, times_ns, target, lambda share: progress(0.05 + 0.45 * share, "reading"))
     size = (told.width, told.height)
-    found, rejected = calibrate_camera(target, views, size, None, lambda text: progress(0.6, text))
+    found, rejected = calibrate_camera(
+        target, views, size, advance=lambda text: progress(0.6, text), choose=foretelling_lens
+    )
     if found is not None:
         progress(0.9, "drawing the residuals")
         write_camera_page(found, plot)

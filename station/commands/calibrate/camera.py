@@ -18,6 +18,7 @@ from station.calibration.camera import (
     Rejected,
     best_lens,
     calibrate_camera,
+    is_clearly_better,
 )
 from station.calibration.camera_files import lens_camchain_yaml, lens_yaml, opencv_yaml
 from station.calibration.camera_page import write_camera_page
@@ -137,7 +138,7 @@ def _print(found: CameraFit | None, seen: Views, rejected: tuple[Rejected, ...],
                 else f"  {name:<3}{value:9.2f} +- {sigma:.2f}"
             )
         best, own = best_lens(found.trials), next(t for t in found.trials if t.lens == fit.lens)
-        if best.validation_px < 0.9 * own.validation_px:
+        if is_clearly_better(best, own):
             print(_better(best, own))
     for line in unused(rejected):
         print(line)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 
@@ -15,7 +16,7 @@ from shared.errors import DataError
 from shared.geometry import FloatArray
 from shared.sensor_yaml import read_camera
 from station.calibration.bundle import covariance, fit_camera, stack_views
-from station.calibration.camera import CameraFit, Rejected, best_lens, calibrate_camera
+from station.calibration.camera import CameraFit, Rejected, best_lens, calibrate_camera, foretelling_lens
 from station.calibration.camera_verdict import reasons_against
 from station.calibration.target import BoardView, Target
 from station.commands.calibrate.camera import write
@@ -64,6 +65,18 @@ def test_a_wide_lens_is_found_to_be_equidistant() -> None:
     found, _ = calibrated(session(2, 25, to_the_edge, camera=FISHEYE))
     assert found.fit.lens == "equidistant" and reasons_against(found) == []
     assert found.fit.numbers[:4] == pytest.approx(numbers(FISHEYE)[:4], abs=1.0)
+
+
+def test_a_robot_gets_the_lens_that_foretells_unseen_images() -> None:
+    """A lens that radial-tangential numbers fit well where the board was, and badly where it was not."""
+    medium = msgspec.structs.replace(FISHEYE, fx=410.0, fy=411.0)
+    views = session(6, 25, to_the_edge, camera=medium)
+    for_all, _ = calibrate_camera(GRID, views, SIZE)
+    for_robot, _ = calibrate_camera(GRID, views, SIZE, choose=foretelling_lens)
+    plain, _ = calibrate_camera(GRID, session(7, 25), SIZE, choose=foretelling_lens)
+    assert for_all is not None and for_robot is not None and plain is not None
+    assert (for_all.fit.lens, for_robot.fit.lens, plain.fit.lens) == ("radtan", "equidistant", "radtan")
+    assert for_robot.fit.numbers[:4] == pytest.approx(numbers(medium)[:4], abs=1.5)
 
 
 def test_a_lens_that_only_opencv_reads_is_written_for_opencv_and_never_recommended(tmp_path: Path) -> None:
