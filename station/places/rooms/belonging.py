@@ -1,4 +1,4 @@
-"""Which room a place belongs to: the one it was looked at from at hand, not the one behind its wall."""
+"""Which room a place belongs to: the one on whose side its landmarks are, wherever they were seen from."""
 
 from __future__ import annotations
 
@@ -6,38 +6,53 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from shared.geometry import FloatArray
-from station.model.floor_plan import FloorPlan
+from shared.geometry import FloatArray, IntArray
+from station.model.floor_plan import NO_ROOM, FloorPlan
 from station.model.navigation import Navigation
 from station.model.place_map import Place
+from station.places.rooms.lengths import WALL_M
+
+REACH_M = 3 * WALL_M  # a room is looked for so far before a landmark: walls are as thick, and maps as wrong
 
 
 def rooms_of_places(plan: FloorPlan, navigation: Navigation, places: Sequence[Place]) -> dict[str, str]:
-    """Place id -> room id. A keyframe's say is its observations of the place, less with the square of the distance.
+    """Place id -> room id; places in no room of the plan have none.
 
-    Through a door a place is seen from afar. Where no observing keyframe is in a room, it is the room around it.
+    What is seen lies in the room that its sight comes from last. Of a wall's two faces each so belongs to its own side,
+    and what is seen through a door to what is behind it. An observation counts less with the square of its distance:
+    so much less surely is its landmark where the map has it. Where nobody observed a place, it is the room around it.
     """
     landmarks = navigation.landmarks
-    centres = navigation.keyframes.T_world_cam[:, :3, 3]
-    room_of_keyframe = plan.rooms_at(centres)
     place_of = np.full(len(landmarks), -1)
     for number, place in enumerate(places):
         place_of[place.landmark_index] = number
-    votes = np.zeros((len(places), len(plan.rooms)))
-    observed, keyframe = place_of[landmarks.observed_landmark], landmarks.observed_keyframe
-    rows = np.flatnonzero((observed >= 0) & (room_of_keyframe[keyframe] >= 0))
-    distance = _distances(landmarks.p_world[landmarks.observed_landmark[rows]] - centres[keyframe[rows]], plan.unit)
-    np.add.at(votes, (observed[rows], room_of_keyframe[keyframe[rows]]), 1.0 / distance**2)
+    p, centre = landmarks.p_world, navigation.keyframes.T_world_cam[:, :3, 3]
+    is_asked = (place_of >= 0) & np.isfinite(p).all(axis=1)
+    rows = np.flatnonzero(is_asked[landmarks.observed_landmark])
+    observed, keyframe = landmarks.observed_landmark[rows], landmarks.observed_keyframe[rows]
+    sight = centre[keyframe] - p[observed]
+    length = np.maximum(np.linalg.norm(sight, axis=1), 1e-9)
+    votes = np.zeros((len(places), len(plan.rooms) + 1))  # the last column is NO_ROOM's
+    room = _last_rooms(plan, p[observed], sight / length[:, None], length)
+    np.add.at(votes, (place_of[observed], room), 1.0 / np.maximum(length / plan.unit, 0.5) ** 2)
     found: dict[str, str] = {}
     for number, of in enumerate(places):
         if votes[number].any():
-            found[of.id] = plan.rooms[int(votes[number].argmax())].id
-        elif (room := int(plan.rooms_at(of.centroid_map[None])[0])) >= 0:
-            found[of.id] = plan.rooms[room].id
+            room_number = int(votes[number].argmax())
+        else:
+            room_number = int(plan.rooms_at(of.centroid_map[None])[0])
+        if room_number not in (NO_ROOM, len(plan.rooms)):
+            found[of.id] = plan.rooms[room_number].id
     return found
 
 
-def _distances(d: FloatArray, unit: float) -> FloatArray:
-    """(n,) m; nearer than half a metre is at hand all the same, and what is not finite infinitely far."""
-    length = np.linalg.norm(d, axis=1) / unit
-    return np.where(np.isfinite(length), np.maximum(length, 0.5), np.inf)
+def _last_rooms(plan: FloorPlan, p: FloatArray, back: FloatArray, length: FloatArray) -> IntArray:
+    """(n,) numbers of the rooms nearest to p (n, 3) along the unit vectors `back`, NO_ROOM without one within reach.
+
+    Asked for from the thickness of a wall before each point on, never behind the eye, which is so far (n,) away.
+    """
+    room = np.full(len(p), NO_ROOM, dtype=np.int64)
+    for before in np.arange(WALL_M, REACH_M + 0.25 * WALL_M, 0.5 * WALL_M) * plan.unit:
+        left = np.flatnonzero(room == NO_ROOM)
+        room[left] = plan.rooms_at(p[left] + np.minimum(before, length[left])[:, None] * back[left])
+    return room

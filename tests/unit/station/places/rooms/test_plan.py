@@ -12,6 +12,7 @@ from shared.geometry import FloatArray, se3, sim3, transform, yaw_rotation
 from station.model.floor_plan import FloorPlan, PlanEdits
 from station.model.navigation import Navigation
 from station.model.place_map import Place
+from station.places.rooms.belonging import rooms_of_places
 from station.places.rooms.plan import make_floor_plan
 from tests.support.flats import DOOR, ELL, TWO_ROOMS, WAY_OF_ELL, WAY_OF_TWO, moved, navigate
 
@@ -118,7 +119,12 @@ def test_rooms_keep_id_and_name_when_the_map_moved() -> None:
     assert {room.id for room in plan.rooms} == {room.id for room in before.rooms}
 
 
-def test_a_place_belongs_to_the_room_it_is_seen_from_at_hand() -> None:
+def place_of(navigation: Navigation, name: str, mask: np.ndarray) -> Place:
+    p = navigation.landmarks.p_world[mask]
+    return Place(name, name, p.mean(axis=0), 0.3, np.flatnonzero(mask), np.zeros(0, np.int64), -1, 1.0)
+
+
+def test_of_a_wall_each_face_belongs_to_its_own_room() -> None:
     navigation = two_rooms()
     p = navigation.landmarks.p_world
     beside_door = (p[:, 1] > 2.6) & (p[:, 1] < 3.6)
@@ -126,12 +132,36 @@ def test_a_place_belongs_to_the_room_it_is_seen_from_at_hand() -> None:
         "near": beside_door & (np.abs(p[:, 0] - 4.0) < 0.04),
         "behind": beside_door & (np.abs(p[:, 0] - 4.1) < 0.04),
     }
-    places = [
-        Place(name, name, p[mask].mean(axis=0), 0.3, np.flatnonzero(mask), np.zeros(0, np.int64), -1, 1.0)
-        for name, mask in faces.items()
-    ]
-    plan = make_floor_plan(navigation, places)
+    plan = make_floor_plan(navigation, [place_of(navigation, name, mask) for name, mask in faces.items()])
     assert [plan.room_of_place[name] for name in ("near", "behind")] == [room.id for room in plan.rooms]
+
+
+def test_what_is_seen_through_a_door_into_what_is_no_room_belongs_to_none() -> None:
+    navigation, plan = two_rooms(), plan_of_two()
+    p = navigation.landmarks.p_world
+    one_room = replace(plan, rooms=plan.rooms[:1], room=np.minimum(plan.room, 0) - (plan.room == 1), doors=())
+    assert one_room.rooms_at(RIGHT).tolist() == [-1]
+    places = [place_of(navigation, "here", p[:, 0] < 4.05), place_of(navigation, "beyond", p[:, 0] > 7.0)]
+    assert rooms_of_places(one_room, navigation, places) == {"here": plan.rooms[0].id}
+
+
+def test_what_is_seen_only_from_the_next_room_belongs_to_its_own() -> None:
+    """The plan knows both rooms; only the keyframes of the first one observed the place in the second."""
+    navigation = two_rooms()
+    marks, plan = navigation.landmarks, plan_of_two()
+    far = marks.p_world[:, 0] > 7.0
+    from_left = plan.rooms_at(navigation.keyframes.T_world_cam[:, :3, 3])[marks.observed_keyframe] == 0
+    kept = from_left | ~far[marks.observed_landmark]
+    observed = replace(
+        marks,
+        observed_landmark=marks.observed_landmark[kept],
+        observed_keyframe=marks.observed_keyframe[kept],
+        observed_uv_px=marks.observed_uv_px[kept],
+    )
+    is_seen = far & np.isin(np.arange(len(marks)), observed.observed_landmark)
+    assert is_seen.any()
+    half_seen = replace(navigation, landmarks=observed)
+    assert rooms_of_places(plan, half_seen, [place_of(half_seen, "far", is_seen)]) == {"far": plan.rooms[1].id}
 
 
 def test_a_navigation_that_saw_nothing_has_a_plan_without_rooms() -> None:
