@@ -24,6 +24,7 @@ from shared.geometry import so3_log
 from shared.simulator_link import SimulatorLink
 from tests.e2e.conftest import LAPTOP, PHONE
 from tests.support.new_robot import (
+    carry_about_until_all_is_recorded,
     choose_own_board,
     drive_as_told,
     hold_everywhere,
@@ -43,7 +44,9 @@ pytestmark = [
 
 BUILD_SEED = 4
 MOUNTED_OTHERWISE = {"pitch_deg": 3.0, "yaw_deg": -2.0, "forward_cm": 1.5, "up_cm": -1.0, "time_shift_ms": 12.0}
+KNOCKED = {"pitch_deg": 3.0, "yaw_deg": -2.0, "time_shift_ms": 12.0}
 WAVED_S = 25.0
+CARRIED_S = 35.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +121,25 @@ async def test_a_robot_whose_camera_sits_otherwise_is_waved_on_a_phones_page_and
         await dialog.get_by_role("button", name="Again").click()
         await expect(dialog.get_by_label("What")).to_have_value("camera-imu")
         await expect(dialog.get_by_label("Tag or square, mm")).to_have_value("34.0")
+
+
+async def test_a_robot_that_was_knocked_is_carried_about_without_a_board_and_tells_how_its_camera_sits_now(
+    browser: Browser, tmp_path: Path
+) -> None:
+    built = built_camera(REFERENCE_CAMERA, BuildErrors(**KNOCKED))
+    async with new_robot_at_the_page(browser, tmp_path, KNOCKED, PHONE) as room:
+        simulator, desk, dialog = room.simulator, room.desk, room.dialog
+        await dialog.get_by_label("What").select_option("check")
+        await expect(dialog.get_by_label("Paper")).to_be_hidden()
+        await carry_about_until_all_is_recorded(dialog, desk.http, simulator, CARRIED_S)
+        await expect(dialog.locator(".verdict")).to_have_text("This calibration is good.")
+        await dialog.get_by_role("button", name="Use it").click()
+        await expect(dialog).to_contain_text("The robot tells these numbers now")
+        found = (await desk.http.get("/calibration")).json()["camera"]
+        T = np.array(found["T_body_cam"])
+        turned_deg = np.degrees(np.linalg.norm(so3_log(T[:3, :3].T @ built.T_body_cam_matrix[:3, :3])))
+        assert turned_deg < 0.5  # of 3.6 degrees
+        assert found["time_shift_s"] == pytest.approx(built.time_shift_s, abs=1e-3)  # of 12 ms
 
 
 async def test_the_wheels_are_driven_in_the_dialog_measured_and_do_as_they_are_told_from_then_on(
