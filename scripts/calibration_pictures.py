@@ -24,6 +24,7 @@ from tests.support.new_robot import (  # noqa: E402
     HELD,
     choose_own_board,
     drive_as_told,
+    hold,
     hold_everywhere,
     new_robot,
     open_dialog,
@@ -77,12 +78,10 @@ async def go_through(browser: Browser, out: Path, folder: Path) -> None:
         await choose_own_board(dialog)
         await press(dialog, "Begin")
         await stand_in_the_open(desk.http, simulator, 1.0)
-        half = hold_everywhere(desk.http, simulator, 1.0)
-        taking = asyncio.create_task(half)
-        while (await desk.http.get("/calibration/sessions")).json()[0]["seen"]["num_views"] < len(HELD) // 2:
-            await asyncio.sleep(0.2)
+        for place in HELD[: len(HELD) // 2]:
+            await hold(desk.http, simulator, 1.0, place)
         await photographer.take("camera-look")
-        await taking
+        await hold_everywhere(desk.http, simulator, 1.0)
         await press(dialog, "Finish")
         await expect(dialog.locator(".verdict")).to_be_visible(timeout=300_000)
         await photographer.take("camera-result")

@@ -87,13 +87,17 @@ async def stand_in_the_open(http: httpx.AsyncClient, simulator: SimulatorLink, n
     raise ConfigError("in this flat is no place for a board before the robot")
 
 
+async def hold(http: httpx.AsyncClient, simulator: SimulatorLink, nearer: float, place: dict[str, float]) -> None:
+    """The board until it was looked at, at `nearer` times its distance, as a camera of another view needs it."""
+    there = place | {"distance_m": nearer * place["distance_m"]}
+    await asyncio.to_thread(simulator.ask, cmd="board", **BOARD, **there)
+    truth = await asyncio.to_thread(simulator.ask, cmd="truth")
+    await looked_at(http, truth["t_robot_ns"])
+
+
 async def hold_everywhere(http: httpx.AsyncClient, simulator: SimulatorLink, nearer: float) -> None:
-    """Each pose until it was looked at, at `nearer` times its distance, as a camera of another view needs it."""
     for place in HELD:
-        there = place | {"distance_m": nearer * place["distance_m"]}
-        await asyncio.to_thread(simulator.ask, cmd="board", **BOARD, **there)
-        truth = await asyncio.to_thread(simulator.ask, cmd="truth")
-        await looked_at(http, truth["t_robot_ns"])
+        await hold(http, simulator, nearer, place)
     await asyncio.to_thread(simulator.ask, cmd="board", gone=True)
 
 
