@@ -21,11 +21,11 @@ if [ $# -gt 0 ]; then exec $bin/pytest -m "not hardware" "$@"; fi
 # Tests that only compute take the time in which those with sockets, programs and browsers wait; what they say comes last.
 # The whole system of tests/e2e runs at the end, when it has the machine for itself.
 computing=$(mktemp)
-nice $bin/pytest -m "not hardware and computing" -p no:cacheprovider tests >"$computing" 2>&1 &
+nice $bin/pytest -m "not hardware and computing" -p no:cacheprovider --durations=15 tests >"$computing" 2>&1 &
 beside=$!
 trap 'kill $beside 2>/dev/null || true; rm -f "$computing"' EXIT
 failed=0
-$bin/pytest -m "not hardware and not computing" tests/integration tests/e2e || failed=$?
+$bin/pytest -m "not hardware and not computing" --durations=15 tests/integration tests/e2e || failed=$?
 wait $beside || failed=$?
 cat "$computing"
 exit $failed
