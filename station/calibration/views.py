@@ -138,6 +138,8 @@ def _why_missed(target: Target, seen: Views) -> str:
         return "the images are too dark; take more light or a longer exposure"
     if float(np.median([image_blur_px(image) for image in seen.missed])) > blur_limit_px(seen.size):
         return "the images are out of focus; turn the focus ring until the board is sharp"
+    if target.kind != "chessboard" and any(_is_mirrored(target, image) for image in seen.missed):
+        return "they are mirrored, as a selfie camera's; switch mirroring off (one hflip or vflip alone mirrors, too)"
     for image in seen.missed:
         other = _other_target(target, image)
         if other:
@@ -161,6 +163,11 @@ def image_blur_px(grey: ImageArray) -> float:
         slopes.append(float(np.percentile(slope, 99.5)))
     ratio = min(slopes[1] / max(slopes[0], 1e-6), 0.999) ** 2
     return float(np.sqrt(max(5.0 * ratio - 1.0, 0.0) / (1.0 - ratio)))
+
+
+def _is_mirrored(target: Target, image: ImageArray) -> bool:
+    """Tags say it; a chessboard has the same look in a mirror."""
+    return make_finder(target).find(np.ascontiguousarray(image[:, ::-1])) is not None
 
 
 def _other_target(target: Target, image: ImageArray) -> str:

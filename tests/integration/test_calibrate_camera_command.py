@@ -112,7 +112,14 @@ def out_of_focus(image: Image) -> Image:
     return np.asarray(cv2.GaussianBlur(image, (0, 0), 4.0), dtype=np.uint8)
 
 
-@pytest.mark.parametrize(("change", "remedy"), [(dark, "more light"), (out_of_focus, "turn the focus ring")])
+def mirrored(image: Image) -> Image:
+    return np.asarray(image[:, ::-1])
+
+
+@pytest.mark.parametrize(
+    ("change", "remedy"),
+    [(dark, "more light"), (out_of_focus, "turn the focus ring"), (mirrored, "switch mirroring off")],
+)
 def test_poor_images_are_refused_with_their_remedy(images: Path, tmp_path: Path, change: Any, remedy: str) -> None:
     out = tmp_path / "camera.yaml"
     folder = changed(images, tmp_path / "poor", change)
