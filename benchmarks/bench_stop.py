@@ -258,10 +258,8 @@ async def run(options: argparse.Namespace, counts: dict[str, int], rows: Path, c
             asyncio.get_running_loop().remove_signal_handler(number)
     if options.part != "chain":
         for name in stop_firmware.FAULTS:
-            for begin in range(0, left.get(name, 0), stop_firmware.AT_ONCE):
-                count = min(stop_firmware.AT_ONCE, left[name] - begin)
-                for judged in stop_firmware.run(name, count, rng):
-                    stop_report.append(rows, replace(judged, commit=commit))
+            for judged in stop_firmware.run(name, left.get(name, 0), rng):
+                stop_report.append(rows, replace(judged, commit=commit))
 
 
 def figures(results: list[Judged]) -> list[Figure]:

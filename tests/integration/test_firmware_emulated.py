@@ -12,6 +12,7 @@ from shared import serial_protocol as sp
 from tests.support.emulator import board
 from tests.support.imu_packets import mag_imu
 from tests.support.paths import ROOT
+from tests.support.stopping.firmware import FAULTS, run
 
 pytestmark = pytest.mark.skipif(board.missing_reason() is not None, reason=board.missing_reason() or "")
 
@@ -345,3 +346,9 @@ def test_firmware_stays_small() -> None:
     )
     assert text + data <= 0.25 * 253_952
     assert data + bss <= 0.40 * 8_192
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_every_fault_of_the_stop_bench_is_judged_and_stops_the_motors_in_time(fault: str) -> None:
+    judged = list(run(fault, 2, random.Random(1)))
+    assert len(judged) == 2 and all(one.pins_ms is not None and one.is_good for one in judged), judged

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 from shared import serial_protocol as sp
@@ -18,7 +19,8 @@ FAULTS = {
     "firmware: hung, interrupts off": 80,
     "firmware: I2C bus stuck, line silent": 80,
 }
-AT_ONCE = 20  # faults in one run of the board
+AT_ONCE = 20  # faults in one run of the board, where it does not start again
+STARTS_AGAIN = "hung"  # by its watchdog; commands for the boot before move nothing then
 
 
 def script_of(name: str, at: float) -> list[tuple[float, str]]:
@@ -37,8 +39,14 @@ def script_of(name: str, at: float) -> list[tuple[float, str]]:
     return []
 
 
-def run(name: str, count: int, rng: random.Random) -> list[Judged]:
-    """So many faults of one kind in one run."""
+def run(name: str, count: int, rng: random.Random) -> Iterator[Judged]:
+    """So many faults of one kind, each when its board has come to its end."""
+    at_once = 1 if STARTS_AGAIN in name else AT_ONCE
+    for begin in range(0, count, at_once):
+        yield from _on_one_board(name, min(at_once, count - begin), rng)
+
+
+def _on_one_board(name: str, count: int, rng: random.Random) -> list[Judged]:
     script: list[tuple[float, str]] = []
     faults = []
     for i in range(count):
@@ -49,20 +57,23 @@ def run(name: str, count: int, rng: random.Random) -> list[Judged]:
         script += script_of(name, at)
     with tempfile.TemporaryDirectory() as folder:
         done = board.batch(Path(folder), faults[-1] + 1.5, script)
-    results = []
-    for at in faults:
-        # The next drive command comes 1.2 s after the fault at the earliest.
-        after = [(t, left or right) for t, left, right in done.pins if at * 1e6 < t < (at + 1.1) * 1e6]
-        zeros = [t for t, moves in after if not moves]
-        first = zeros[0] if zeros else None
-        moved_on = [t for t, moves in after if moves and first is not None and t > first]
-        stop = next((t for t in zeros if not moved_on or t > moved_on[-1]), None)
-        results.append(
-            Judged(
-                name,
-                pins_ms=None if stop is None else (stop - at * 1e6) / 1000,
-                started="while it lasted" if moved_on else "",
-                never_stopped=stop is None,
-            )
-        )
-    return results
+    moves = [(t_us, bool(left or right)) for t_us, left, right in done.pins]
+    return [_judge(name, at * 1e6, moves) for at in faults]
+
+
+def _judge(name: str, fault_us: float, moves: list[tuple[float, bool]]) -> Judged:
+    """`moves`: whenever the pins changed, whether they move anything from then on."""
+    before = [moving for t, moving in moves if t <= fault_us]
+    if not before or not before[-1]:
+        return Judged(name, not_judged="the motors did not turn before it")
+    # The next drive command comes 1.2 s after the fault at the earliest.
+    after = [(t, moving) for t, moving in moves if fault_us < t < fault_us + 1.1e6]
+    zeros = [t for t, moving in after if not moving]
+    moved_on = [t for t, moving in after if moving and zeros and t > zeros[0]]
+    stop = next((t for t in zeros if not moved_on or t > moved_on[-1]), None)
+    return Judged(
+        name,
+        pins_ms=None if stop is None else (stop - fault_us) / 1000,
+        started="while it lasted" if moved_on else "",
+        never_stopped=stop is None,
+    )
