@@ -164,7 +164,8 @@ async def _obey(socket: WebSocket, robot: RobotSession, name: str, text: str, la
                         await socket.send_text(too_late(command, now_ms).model_dump_json())
                     return
                 late.note_fresh()
-                robot.driving.drive(name, command.linear, command.angular, left_ms)
+                age_ms = max(0, min(command.ttl_ms, MAX_DRIVE_TTL_MS) - left_ms)
+                robot.driving.drive(name, command.linear, command.angular, left_ms, age_ms)
                 await socket.send_text(DriveAccepted(seq=command.seq).model_dump_json())
             case StopCommand():
                 robot.stop(name, command.reason)

@@ -48,7 +48,7 @@ class CameraHead:
 class DriveLink(Protocol):
     """What driving needs of the link to the robot."""
 
-    def drive(self, linear: float, angular: float, ttl_ms: int) -> bool: ...
+    def drive(self, linear: float, angular: float, ttl_ms: int, most_ms: int = MAX_DRIVE_TTL_MS) -> bool: ...
 
     def stop(self, *, until_confirmed: bool = False) -> bool: ...
 
@@ -124,8 +124,11 @@ class Driving:
         if not self.head_is_centred and self._link.point(*AHEAD):
             self._head.turn(*AHEAD, self._now_ns())
 
-    def drive(self, driver: str, linear: float, angular: float, ttl_ms: int) -> None:
+    def drive(self, driver: str, linear: float, angular: float, ttl_ms: int, age_ms: int = 0) -> None:
         """Hold a velocity (m/s, rad/s) for `ttl_ms`. Takes the wheel when it is free.
+
+        Args:
+            age_ms: how long ago the driver said it: what a slow network adds to its life is counted from then.
 
         Raises:
             NoRobot, NotCapable, NotDriver, OutOfRange, Conflict (was stopped and holds on, or must stand): in words for
@@ -143,7 +146,8 @@ class Driving:
         self._require_wheel(verdict != "taken")
         if verdict == "stopped":
             raise Conflict("somebody else stopped the robot; let go of the joystick once, then drive on")
-        if not self._link.drive(linear, angular, min(ttl_ms, MAX_DRIVE_TTL_MS)):
+        first_ms = min(ttl_ms, MAX_DRIVE_TTL_MS)
+        if not self._link.drive(linear, angular, first_ms, max(first_ms, MAX_DRIVE_TTL_MS - age_ms)):
             raise NoRobot("the robot is not connected just now; the link comes back by itself")
         self._on_command(driver, linear, angular, ttl_ms)
         self._sent_ns = self._now_ns()
@@ -226,8 +230,10 @@ class Driving:
         if command is not None:
             left_ns = command.until_ns - now_ns
             if now_ns - self._sent_ns >= wait_ns:
-                # One command may live longer than the protocol lets it: said again, until its time is over.
-                self._link.drive(command.linear, command.angular, min(-(-left_ns // 1_000_000), MAX_DRIVE_TTL_MS))
+                # One command may live longer than the protocol lets it: said again, until its time is over. Nothing is
+                # given on top of that time: the connection may break now, and nobody tell the robot to stop.
+                left_ms = min(-(-left_ns // 1_000_000), MAX_DRIVE_TTL_MS)
+                self._link.drive(command.linear, command.angular, left_ms, left_ms)
                 self._sent_ns = now_ns
             wait_ns = min(wait_ns, left_ns)
         self._changed.clear()

@@ -113,16 +113,16 @@ class LinkCommands:
         """There is no robot any more."""
         self._is_connected, self._able = False, None
 
-    def drive(self, linear: float, angular: float, ttl_ms: int) -> bool:
+    def drive(self, linear: float, angular: float, ttl_ms: int, most_ms: int = MAX_DRIVE_TTL_MS) -> bool:
         """Hold a velocity (m/s, rad/s) for `ttl_ms` (above the protocol's limit: the limit); newest wins.
 
         The time to live begins when a quick command would arrive. What a slow network takes of it is given on top, as
-        far as the limit allows, or the robot would stutter.
+        far as `most_ms` and the protocol's limit allow, or the robot would stutter.
 
         Returns False, and sends nothing, when no robot is connected or it cannot drive.
         Raises LocalProtocolError when a number is not finite or out of the protocol's range.
         """
-        ttl_ms = max(1, min(ttl_ms + self._late_ms(), MAX_DRIVE_TTL_MS))
+        ttl_ms = max(1, min(ttl_ms + self._late_ms(), most_ms, MAX_DRIVE_TTL_MS))
         try:
             command = Drive(
                 seq=self._count(), t_station_ns=self._now_ns(), linear=linear, angular=angular, ttl_ms=ttl_ms

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
+import time
+
 import pytest
 
-from shared.messages import MAX_DRIVE_TTL_MS, Capabilities
+from shared.messages import MAX_DRIVE_TTL_MS, Capabilities, Drive
 from station.config import DriveConfig
 from station.errors import Conflict, NotDriver, OutOfRange
 from station.robots.driving import Driving
+from station.robots.link_commands import DueMessages, LinkCommands
 
 MS = 1_000_000
 
@@ -44,7 +48,7 @@ class Link:
     def __init__(self) -> None:
         self.told: list[tuple[float, float, int] | str] = []
 
-    def drive(self, linear: float, angular: float, ttl_ms: int) -> bool:
+    def drive(self, linear: float, angular: float, ttl_ms: int, most_ms: int = MAX_DRIVE_TTL_MS) -> bool:
         self.told.append((linear, angular, ttl_ms))
         return True
 
@@ -167,3 +171,26 @@ async def test_a_robot_that_must_stand_refuses_to_move_with_the_reason_and_may_b
     reasons.append("")
     desk.drive("page", 0.1, 0.0, 200)
     assert link.told[-1] == (0.1, 0.0, 200)
+
+
+@pytest.mark.parametrize("age_ms", [0, 120])
+def test_on_a_late_network_no_repetition_lets_the_robot_move_longer_than_the_driver_said(age_ms: int) -> None:
+    commands = LinkCommands(DueMessages(), time.monotonic_ns, late_ms=lambda: 200)
+    able = Capabilities(camera=True, imu=True, drive=True, pan_tilt=False, battery=False, hijack=False)
+    commands.open(able)
+    sent: list[Drive] = []
+    commands.on_command = lambda message: sent.append(message) if isinstance(message, Drive) else None
+    desk = Driving(commands, DriveConfig(repeat_ms=20), lambda: able, lambda _: None, lambda _: None)
+
+    async def drive_and_fall_silent() -> None:
+        desk.drive("anna", 0.1, 0.0, MAX_DRIVE_TTL_MS - age_ms, age_ms)
+        timer = asyncio.create_task(desk.run())
+        while desk.is_moving:
+            await asyncio.sleep(0.01)
+        timer.cancel()
+
+    asyncio.run(drive_and_fall_silent())
+    ends_ns = [drive.t_station_ns + drive.ttl_ms * MS for drive in sent]
+    said_ns = sent[0].t_station_ns - age_ms * MS
+    assert len(sent) > 1
+    assert max(ends_ns) <= said_ns + (MAX_DRIVE_TTL_MS + 1) * MS  # rounded up to whole milliseconds
