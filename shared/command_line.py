@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from collections.abc import Sequence
 
@@ -13,6 +14,8 @@ from shared.errors import RobotSystemError
 # Typer carries its own copy of Click, so the base of its mistakes in usage has no public name of its own.
 USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]
 BAD_USAGE = 2  # exit code, as shells and Click have it
+# What a disk may be at any moment; other errors of the system are mistakes of ours, and keep their traceback.
+UNWRITABLE = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
 WHERE = ("--data", "--config", "--folder")  # options that say where data are: a command that is advised needs them too
 
 
@@ -24,6 +27,12 @@ def run_program(app: typer.Typer, name: str) -> None:
         sys.exit(_refuse(exc, name))
     except RobotSystemError as exc:
         print(f"{name}: {complete(str(exc), name, _where(sys.argv))}", file=sys.stderr)
+        sys.exit(1)
+    except OSError as exc:
+        if exc.errno not in UNWRITABLE:
+            raise
+        what = f"{exc.filename} cannot be used" if exc.filename else "a file cannot be written"
+        print(f"{name}: {what} ({exc.strerror}); make room, or choose another place", file=sys.stderr)
         sys.exit(1)
     except typer.Abort:
         sys.exit(1)

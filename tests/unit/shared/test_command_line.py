@@ -2,11 +2,14 @@
 
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
+import typer
 
 from robot.main import main as robot_main
 from robot.simulation.cli import main as simulation_main
+from shared.command_line import run_program
 from station.main import main as station_main
 
 
@@ -71,3 +74,15 @@ def test_an_error_of_ours_keeps_its_sentence_and_code(
 ) -> None:
     assert end_of(station_main, ["export", "/nowhere", "--out", "x", "--format", "tum"], monkeypatch) == 1
     assert capsys.readouterr().err.startswith("station: /nowhere is no folder")
+
+
+def test_a_full_disk_gets_one_sentence(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    app = typer.Typer()
+
+    @app.command()
+    def fill() -> None:
+        Path("/dev/full").write_text("more than fits")
+
+    assert end_of(lambda: run_program(app, "station"), [], monkeypatch) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("station: ") and "make room" in said and said.count("\n") == 1
