@@ -41,8 +41,8 @@ def test_every_test_is_in_one_half(folder: Path) -> None:
     result = run(folder)
     assert result.returncode == 0, result.stderr
     assert [line for line in result.stdout.splitlines() if line.startswith("pytest")] == [
-        "pytest -m not hardware and not computing tests/integration tests/e2e",
-        "pytest -m not hardware and computing -p no:cacheprovider tests",
+        "pytest -m not hardware and not computing --durations=15 tests/integration tests/e2e",
+        "pytest -m not hardware and computing -p no:cacheprovider --durations=15 tests",
     ]
     folders = {path.relative_to(ROOT / "tests").parts[0] for path in (ROOT / "tests").glob("*/**/test_*.py")}
     assert folders == {"integration", "e2e", *COMPUTING}

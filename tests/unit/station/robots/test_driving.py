@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 
 import pytest
 
@@ -175,17 +174,20 @@ async def test_a_robot_that_must_stand_refuses_to_move_with_the_reason_and_may_b
 
 @pytest.mark.parametrize("age_ms", [0, 120])
 def test_on_a_late_network_no_repetition_lets_the_robot_move_longer_than_the_driver_said(age_ms: int) -> None:
-    commands = LinkCommands(DueMessages(), time.monotonic_ns, late_ms=lambda: 200)
+    clock = [0]
+    commands = LinkCommands(DueMessages(), lambda: clock[0], late_ms=lambda: 200)
     able = Capabilities(camera=True, imu=True, drive=True, pan_tilt=False, battery=False, hijack=False)
     commands.open(able)
     sent: list[Drive] = []
     commands.on_command = lambda message: sent.append(message) if isinstance(message, Drive) else None
-    desk = Driving(commands, DriveConfig(repeat_ms=20), lambda: able, lambda _: None, lambda _: None)
+    config = DriveConfig(repeat_ms=20)
+    desk = Driving(commands, config, lambda: able, lambda _: None, lambda _: None, now_ns=lambda: clock[0])
 
     async def drive_and_fall_silent() -> None:
         desk.drive("anna", 0.1, 0.0, MAX_DRIVE_TTL_MS - age_ms, age_ms)
         timer = asyncio.create_task(desk.run())
         while desk.is_moving:
+            clock[0] += 5 * MS
             await asyncio.sleep(0.01)
         timer.cancel()
 
