@@ -18,7 +18,7 @@ from statistics import median
 from typing import Any
 
 from benchmarks.bench_mapping import parse_seeds
-from benchmarks.result import Figure, Run, add_results_option, rows_by_seed, share, work_folder
+from benchmarks.result import Figure, Run, add_results_option, failed_seeds, rows_by_seed, share, work_folder
 
 PASSED_PERCENT, PRECISION_PERCENT, MEDIAN_S = 100.0, 99.0, 110.0  # asked; flats are warm from the second run on
 
@@ -45,12 +45,16 @@ def figures(rows: list[dict[str, Any]]) -> list[Figure]:
     worst_m = max((row["map_error_m"] for row in judged), default=None)
     seconds = [row["seconds"]["total"] for row in judged]
     return [
-        share("demo: flats that passed", passed, len(rows), at_least=PASSED_PERCENT),
+        share("demo: flats that passed", passed, len(rows), at_least=PASSED_PERCENT, note=failed_seeds(rows, why_not)),
         share("demo: known answers that are right", right, right + wrong, at_least=PRECISION_PERCENT),
         share("demo: answers that are known", right + wrong, right + wrong + not_known),
         Figure("demo: error of the map, worst", worst_m, "m", of=len(judged)),
         Figure("demo: on the clock, median", median(seconds) if seconds else None, "s", MEDIAN_S, of=len(judged)),
     ]
+
+
+def why_not(row: dict[str, Any]) -> str:
+    return str(row.get("shortfall") or row["said"])
 
 
 def main() -> int:

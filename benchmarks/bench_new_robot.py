@@ -30,7 +30,7 @@ from playwright.async_api import Locator, ViewportSize, async_playwright, expect
 from benchmarks.bench_demo import PASSED_PERCENT
 from benchmarks.bench_mapping import parse_seeds
 from benchmarks.bench_page import CHROMIUM_ARGUMENTS
-from benchmarks.result import Figure, Run, add_results_option, rows_by_seed, share, work_folder
+from benchmarks.result import Figure, Run, add_results_option, failed_seeds, rows_by_seed, share, work_folder
 from robot.simulation.config import BuildErrors
 from robot.simulation.construction import built_camera
 from shared.calibration import REFERENCE_CAMERA, CameraCalibration
@@ -74,8 +74,8 @@ def go_the_way(seed: int) -> dict[str, Any]:
             row |= asyncio.run(calibrate_on_the_page(demo, seed))
             verdict = map_hijack_and_ask(demo, out / "data", Timings()).verdict
             say(describe(verdict))
-            row |= {"passed": verdict.passed, "right": verdict.right, "wrong": verdict.wrong}
-            row |= {"not_known": verdict.not_known, "map_error_m": verdict.map_error_m}
+            row |= {"passed": verdict.passed, "shortfall": verdict.shortfall, "map_error_m": verdict.map_error_m}
+            row |= {"right": verdict.right, "wrong": verdict.wrong, "not_known": verdict.not_known}
             row["after"] = demo.station.get("/robot")["calibration_fit"]
         except (RobotSystemError, PlaywrightError, AssertionError) as exc:
             row["ended"] = str(exc)[:500]
@@ -159,7 +159,8 @@ def figures(rows: list[dict[str, Any]]) -> list[Figure]:
         "time shift": ("shift_ms", "ms"), "line delay": ("line_delay_us", "us"),
     }  # fmt: skip
     return [
-        share("new robots that know their place at the end", passed, len(rows), at_least=PASSED_PERCENT),
+        share("new robots that know their place at the end", passed, len(rows), at_least=PASSED_PERCENT,
+              note=failed_seeds(rows, lambda row: row.get("shortfall") or row["ended"])),
         share("told before that the calibration does not fit", warned, len(rows)),
         share("told before at least what seems not to fit", doubted, len(rows)),
         share("calibrated on the page, camera and camera with IMU", len(calibrated), len(rows)),
@@ -169,7 +170,7 @@ def figures(rows: list[dict[str, Any]]) -> list[Figure]:
             Figure(f"calibrated on the page: {what}, worst", max((r[key] for r in calibrated), default=None), unit)
             for what, (key, unit) in worst.items()
         ),
-    ]
+    ]  # fmt: skip
 
 
 def main() -> int:

@@ -47,6 +47,7 @@ class Figure:
     at_least: float | None = None
     count: int | None = None  # of a share: this many of `of`
     of: int | None = None  # how many were tried
+    note: str = ""  # in a few words: which ones failed, and why
 
     @property
     def is_met(self) -> bool | None:
@@ -59,10 +60,17 @@ class Figure:
         return is_low_enough and (self.at_least is None or self.value >= self.at_least)
 
 
-def share(what: str, count: float, of: int, *, at_least: float | None = None, at_most: float | None = None) -> Figure:
+def share(
+    what: str, count: float, of: int, *, at_least: float | None = None, at_most: float | None = None, note: str = ""
+) -> Figure:
     """`count` of `of` as a percentage; bounds are percentages too."""
     value = 100 * count / of if of else None
-    return Figure(what, value, "%", at_most=at_most, at_least=at_least, count=round(count), of=of)
+    return Figure(what, value, "%", at_most=at_most, at_least=at_least, count=round(count), of=of, note=note)
+
+
+def failed_seeds(rows: Iterable[dict[str, Any]], reason: Callable[[dict[str, Any]], str]) -> str:
+    """A figure's note: which of the rows by seed did not pass, and why."""
+    return "; ".join(f"seed {row['seed']}: {' '.join(reason(row).split())}" for row in rows if not row["passed"])
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +139,7 @@ class Run:
 
 
 def _figure_document(figure: Figure) -> dict[str, object]:
-    document: dict[str, object] = {name: value for name, value in asdict(figure).items() if value is not None}
+    document: dict[str, object] = {name: value for name, value in asdict(figure).items() if value not in (None, "")}
     value = figure.value
     document["value"] = None if value is None or not math.isfinite(value) else float(f"{value:.6g}")
     return document | {"met": figure.is_met}

@@ -91,9 +91,9 @@ def value_with_unit(figure: Figure) -> str:
         return "–"
     unit = figure.unit if figure.unit.startswith("/") else f" {figure.unit}"
     value = f"{number(figure.value)}{unit}".strip()
-    if figure.count is not None:
-        return f"{value} ({figure.count} of {figure.of})"
-    return value if figure.of is None else f"{value} (n = {figure.of})"
+    rests_on = f"{figure.count} of {figure.of}" if figure.count is not None else f"n = {figure.of}" * bool(figure.of)
+    about = "; ".join(filter(None, (rests_on, figure.note.replace("|", "/"))))
+    return f"{value} ({about})" if about else value
 
 
 def number(value: float) -> str:
