@@ -109,6 +109,7 @@ async def calibrate_on_the_page(demo: Demo, seed: int) -> dict[str, Any]:
         chromium = await playwright.chromium.launch(executable_path=shutil.which("chromium"), args=CHROMIUM_ARGUMENTS)
         page = await chromium.new_page(viewport=LAPTOP)
         dialog = await open_dialog(page, address)
+        await expect(dialog).to_contain_text("The robot tells")
         said = await dialog.inner_text()
         await choose_own_board(dialog)
         await dialog.get_by_role("button", name="Begin").click()
@@ -154,6 +155,7 @@ def figures(rows: list[dict[str, Any]]) -> list[Figure]:
     fits = [row.get("before", {}).get("fit") or {} for row in rows]
     warned = sum(fit.get("verdict") == MISFIT for fit in fits)
     doubted = sum("seems" in fit.get("sentence", "") for fit in fits)
+    shown = sum(row.get("page_said_so", False) for row in rows)
     worst = {
         "focal length": ("focal_percent", "%"), "rotation": ("turned_deg", "deg"), "position": ("moved_mm", "mm"),
         "time shift": ("shift_ms", "ms"), "line delay": ("line_delay_us", "us"),
@@ -163,6 +165,7 @@ def figures(rows: list[dict[str, Any]]) -> list[Figure]:
               note=failed_seeds(rows, lambda row: row.get("shortfall") or row["ended"])),
         share("told before that the calibration does not fit", warned, len(rows)),
         share("told before at least what seems not to fit", doubted, len(rows)),
+        share("the page says so where one calibrates", shown, len(rows)),
         share("calibrated on the page, camera and camera with IMU", len(calibrated), len(rows)),
         share("known answers afterwards that are right", right, right + wrong),
         share("answers afterwards that are known", right + wrong, right + wrong + not_known),

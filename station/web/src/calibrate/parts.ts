@@ -76,7 +76,12 @@ export function presentOf(told: CalibrationModel): Content[] {
     : "no camera";
   return present(
     make("p", { class: "note" }, `The robot tells ${told.source}: focal length ${focal}.`),
-    told.fit && make("p", { class: "note" }, `Of the last drive: ${told.fit.sentence}.`),
+    told.fit &&
+      make(
+        "p",
+        { class: told.fit.verdict === "does not fit" ? "note bad" : "note" },
+        `Of the last drive: ${told.fit.sentence}.`,
+      ),
     told.fixed && make("p", { class: "note bad" }, told.fixed),
   );
 }
