@@ -222,6 +222,23 @@ REFERENCE_CAMERA = CameraCalibration(
     line_delay_s=30e-6,  # the Pi camera reads its rows in about 15 ms per frame
     rate_hz=30.0,
 )
+
+
+def has_borrowed_mounting(camera: CameraCalibration) -> bool:
+    """Whether where a camera sits and when it sees are still the reference robot's, though its lens is its own.
+
+    No measurement agrees with that robot's to the last digit.
+    """
+
+    def placed(c: CameraCalibration) -> tuple[object, ...]:
+        return c.T_body_cam, c.time_shift_s
+
+    def lens(c: CameraCalibration) -> tuple[object, ...]:
+        return c.fx, c.fy, c.cx, c.cy, c.distortion
+
+    return placed(camera) == placed(REFERENCE_CAMERA) and lens(camera) != lens(REFERENCE_CAMERA)
+
+
 # ICM-20948 datasheet (DS-000189 v1.3): gyro 0.015 dps/sqrt(Hz), accel 230 ug/sqrt(Hz); walks are typical of its class.
 REFERENCE_IMU = ImuNoise(
     gyro_density=math.radians(0.015),

@@ -17,8 +17,8 @@ from station.api.schema.calibration import (
     CalibrationOrder,
     CalibrationSessionModel,
     SessionOrder,
+    calibration_by_result,
     calibration_model,
-    order_of_result,
     ordered_board,
     ordered_calibration,
     session_model,
@@ -68,13 +68,14 @@ async def file(robot: RobotDep, format: Annotated[Literal["yaml", "camchain"], Q
 async def use(order: CalibrationOrder, robot: RobotDep) -> CalibrationModel:
     """What is left out stays. The robot keeps the numbers before these (`/calibration/undo`), and these over a restart.
 
-    409 while it drives or a navigation is recorded, 422 with its words for numbers that cannot be its own.
+    409 while it drives or a navigation is recorded, and for a result that rests on numbers which were replaced since;
+    422 with its words for numbers that cannot be its own.
     """
 
     def completed(hello: Hello) -> Calibration:
-        session = order.session
-        numbers = order if session is None else order_of_result(robot.guided_calibration.get_for(hello, session))
-        return ordered_calibration(hello.calibration, numbers)
+        if order.session is None:
+            return ordered_calibration(hello.calibration, order)
+        return calibration_by_result(robot.guided_calibration.get_for(hello, order.session), hello.calibration)
 
     await robot.use_calibration(completed)
     return calibration_model(robot)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -50,6 +51,13 @@ def page_target(kind: TargetKind, size: PageSize, columns: int | None = None, ro
         return Target(kind, columns, rows, square_m)
     marker_m = round(MARKER * square_mm) / 1000.0
     return Target(kind, columns, rows, square_m, marker_m=marker_m, dictionary=DEFAULT_CHARUCO_DICTIONARY)
+
+
+def printed_target(kind: TargetKind, size: PageSize, ruler_mm: float) -> Target:
+    """The target that fills a page, as large as a printer made it whose ruler measures `ruler_mm`."""
+    target, scale = page_target(kind, size), ruler_mm / RULER_LENGTH_MM
+    lengths = {name: scale * getattr(target, name) for name in ("square_m", "gap_m", "marker_m")}
+    return replace(target, **lengths)
 
 
 def write_page(target: Target, size: PageSize, path: Path) -> None:

@@ -336,7 +336,9 @@ class GuidedCalibration(LinkListeners):
         try:
             make_folder(folder)
             for old in sorted(self._root.glob("cal-*"))[:-KEPT_FOLDERS]:
-                if time.time() - old.stat().st_mtime > 2 * LONGEST_S:  # else perhaps another robot's, still in use
+                if (
+                    time.time() - old.stat().st_mtime > 2 * LONGEST_AT_REST_S
+                ):  # else perhaps another robot's, still in use
                     shutil.rmtree(old, ignore_errors=True)
         except OSError as exc:
             raise DataError(f"{folder} cannot be made ({exc.strerror}); give a folder that can be written") from exc

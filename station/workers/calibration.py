@@ -16,7 +16,7 @@ from station.calibration.guide import Guide
 from station.calibration.imu.guide import StillGuide
 from station.calibration.meter import read_meter
 from station.calibration.target import BoardView, Target
-from station.calibration.target_page import page_target
+from station.calibration.target_page import printed_target
 from station.calibration.targetless.guide import LivelyGuide
 from station.calibration.wheels_guide import WheelsGuide
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
@@ -33,7 +33,7 @@ class BoardWatcher(CalibrationProgram):
         self._metered = 0  # how many views the meter has seen
 
     def begin(self, kind: GuidedKind, board: Target | PrintedBoard, camera: CameraCalibration) -> Target:
-        target = page_target(board.kind, board.size) if isinstance(board, PrintedBoard) else board
+        target = board if isinstance(board, Target) else printed_target(board.kind, board.size, board.ruler_mm)
         self._begun = (target, camera, make_finder(target), _make_guide(kind, target, camera))
         return target
 

@@ -51,6 +51,7 @@ class PrintedBoard:
 
     kind: TargetKind
     size: PaperSize
+    ruler_mm: float = 100.0  # what the page's ruler, meant to be 100 mm long, measures: printers scale
 
 
 class CalibrationProgram(Program, ABC):

@@ -132,7 +132,10 @@ async def test_a_robot_that_was_knocked_is_carried_about_without_a_board_and_tel
         await dialog.get_by_label("What").select_option("check")
         await expect(dialog.get_by_label("Paper")).to_be_hidden()
         await carry_about_until_all_is_recorded(dialog, desk.http, simulator, CARRIED_S)
-        await expect(dialog.locator(".verdict")).to_have_text("This calibration is good.")
+        verdict = dialog.locator(".verdict")
+        await expect(verdict).to_contain_text("The calibration does not fit. “Use it” repairs:")
+        await expect(verdict).to_contain_text("rotation")
+        await expect(verdict).to_contain_text("time shift")
         await dialog.get_by_role("button", name="Use it").click()
         await expect(dialog).to_contain_text("The robot tells these numbers now")
         found = (await desk.http.get("/calibration")).json()["camera"]

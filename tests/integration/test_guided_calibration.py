@@ -126,7 +126,8 @@ async def test_a_check_needs_no_board_and_says_what_a_robot_that_was_not_carried
         done = await wait_for(desk, f"/jobs/{job['id']}", lambda j: j["state"] != "running")
         assert done["state"] == "done", done["message"]
         over = (await http.get(path)).json()
-        assert over["state"] == "done" and not over["mounting"]["accepted"] and over["mounting"]["reasons"]
+        assert over["state"] == "done" and not over["check"]["accepted"] and over["check"]["reasons"]
+        assert over["check"]["fits"] is None and over["mounting"] is None
         assert is_problem(await http.post("/calibration/use", json={"session": begun.json()["id"]}), 409)
 
 

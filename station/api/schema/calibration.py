@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 import msgspec
 from pydantic import Field, model_validator
 
-from shared.calibration import Calibration, CameraCalibration, ImuNoise
+from shared.calibration import Calibration, CameraCalibration, ImuNoise, has_borrowed_mounting
 from shared.calibration_yaml import calibration_text
 from shared.errors import ConfigError
 from station.api.schema.base import Model, Number, Question
@@ -36,6 +36,9 @@ class CameraModel(Model):
     time_shift_s: float = Field(description="t_imu = t_cam + time_shift_s")
     line_delay_s: float = Field(description="row v is exposed line_delay_s * v after row 0; 0: all at once")
     is_measured: bool = Field(description="false: another robot's numbers, for want of its own")
+    is_mounting_measured: bool = Field(
+        description="false: where it sits and when it sees are the reference robot's, for want of its own"
+    )
 
 
 class ImuModel(Model):
@@ -118,6 +121,7 @@ class TargetOrder(Question):
 
     kind: Literal["aprilgrid", "charuco", "chessboard"] = "aprilgrid"
     size: PaperSize | None = Field(default=None, description="of the paper it was printed on; else give the numbers")
+    ruler_mm: float = Field(default=100.0, ge=90.0, le=110.0, description="what the printed page's ruler measures")
     columns: int | None = Field(default=None, ge=2, le=50, description="tags, or inner corners")
     rows: int | None = Field(default=None, ge=2, le=50)
     square_m: float | None = Field(default=None, ge=1e-3, le=2.0, description="side of a tag or square, measured")
@@ -223,8 +227,16 @@ class MountingResult(Model):
     distortion: list[float] | None
     accepted: bool
     reasons: list[str]
-    notes: list[str] = Field(
-        description="what was not used of the recording; of kind check what fits and what does not"
+    notes: list[str] = Field(description="what was not used of the recording")
+
+
+class CheckResult(MountingResult):
+    """What a recording without a board says of the calibration; the numbers are those told, or repaired."""
+
+    notes: list[str] = Field(description="of each quantity whether it fits, or why this motion does not show it")
+    fits: bool | None = Field(description="null: this motion does not show all of it")
+    repairs: list[str] = Field(
+        description="the quantities that the robot should tell otherwise", examples=[["rotation"]]
     )
 
 
@@ -298,7 +310,8 @@ class CalibrationSessionModel(Model):
     seen: BoardSeenModel | None = Field(description="the newest picture that was looked at")
     job: str = Field(description="that estimates; empty: not yet")
     result: CameraResult | None = Field(description="of kind camera")
-    mounting: MountingResult | None = Field(description="the result of kinds camera-imu and check")
+    mounting: MountingResult | None = Field(description="the result of kind camera-imu")
+    check: CheckResult | None = Field(description="the result of kind check")
     wheels: WheelsResult | None = Field(description="the result of kind wheels")
     imu: ImuResult | None = Field(description="the result of kind imu")
     is_used: bool = Field(description="the robot tells this result now")
@@ -330,10 +343,11 @@ def session_model(session: CalibrationSession, robot: RobotSession) -> Calibrati
         resolution=[] if camera is None else [camera.width, camera.height],
         seen=None if seen is None else _seen_model(seen),
         result=_result(session, CameraResult, "camera"),
-        mounting=_result(session, MountingResult, "camera-imu", "check"),
+        mounting=_result(session, MountingResult, "camera-imu"),
+        check=_result(session, CheckResult, "check"),
         wheels=_result(session, WheelsResult, "wheels"),
         imu=_result(session, ImuResult, "imu"),
-        is_used=hello is not None and _is_used(session, hello.calibration),
+        is_used=hello is not None and is_used(session, hello.calibration),
         recording=f"/calibration/sessions/{session.id}/{RECORDING}",
     )
 
@@ -341,9 +355,9 @@ def session_model(session: CalibrationSession, robot: RobotSession) -> Calibrati
 Result = TypeVar("Result", bound=Model)
 
 
-def _result(session: CalibrationSession, model: type[Result], *kinds: GuidedKind) -> Result | None:
-    """What a session of one of these kinds came to."""
-    return None if session.result is None or session.kind not in kinds else model.model_validate(session.result)
+def _result(session: CalibrationSession, model: type[Result], kind: GuidedKind) -> Result | None:
+    """What a session of this kind came to."""
+    return None if session.result is None or session.kind != kind else model.model_validate(session.result)
 
 
 def _seen_model(seen: BoardSeen) -> BoardSeenModel:
@@ -358,7 +372,7 @@ def _seen_model(seen: BoardSeen) -> BoardSeenModel:
 def ordered_board(order: TargetOrder) -> Target | PrintedBoard:
     """Raises OutOfRange: no such board."""
     if order.size is not None:
-        return PrintedBoard(order.kind, order.size)
+        return PrintedBoard(order.kind, order.size, order.ruler_mm)
     try:
         assert order.columns is not None and order.rows is not None and order.square_m is not None
         return Target(order.kind, order.columns, order.rows, order.square_m, gap_m=order.gap_m, marker_m=order.marker_m)
@@ -366,7 +380,7 @@ def ordered_board(order: TargetOrder) -> Target | PrintedBoard:
         raise OutOfRange(str(exc)) from exc
 
 
-def _is_used(session: CalibrationSession, told: Calibration) -> bool:
+def is_used(session: CalibrationSession, told: Calibration) -> bool:
     """Whether using it would change nothing, by the words of the robot's file."""
     if session.result is None or not session.result["accepted"]:
         return False
@@ -374,6 +388,15 @@ def _is_used(session: CalibrationSession, told: Calibration) -> bool:
         return calibration_text(ordered_calibration(told, order_of_result(session))) == calibration_text(told)
     except (Conflict, OutOfRange):
         return False
+
+
+def calibration_by_result(session: CalibrationSession, told: Calibration) -> Calibration:
+    """The told calibration with a session's result. Raises Conflict, OutOfRange."""
+    ordered = ordered_calibration(told, order_of_result(session))
+    parts = [part for part in ("camera", "imu", "wheels") if getattr(ordered, part) != getattr(told, part)]
+    if any(getattr(told, part) != getattr(session.told, part) for part in parts):
+        raise Conflict("the robot was told other numbers since this was recorded; undo these, or calibrate again")
+    return ordered
 
 
 def order_of_result(session: CalibrationSession) -> CalibrationOrder:
@@ -384,7 +407,10 @@ def order_of_result(session: CalibrationSession) -> CalibrationOrder:
         raise Conflict(f"this result is not good enough: {'; '.join(session.result['reasons'])}")
     if (lens := _result(session, CameraResult, "camera")) is not None:
         return CalibrationOrder(camera=_lens_order(lens))
-    if (mounting := _result(session, MountingResult, "camera-imu", "check")) is not None:
+    check = _result(session, CheckResult, "check")
+    if check is not None and not check.repairs:
+        raise Conflict("this check found nothing to repair; the robot's numbers stay as they are")
+    if (mounting := check or _result(session, MountingResult, "camera-imu")) is not None:
         placed = {"T_body_cam": mounting.T_body_cam, "time_shift_s": mounting.time_shift_s}
         return CalibrationOrder(camera=_lens_order(mounting).model_copy(update=placed))
     if (wheels := _result(session, WheelsResult, "wheels")) is not None and wheels.speed and wheels.turn:
@@ -413,6 +439,7 @@ def _camera_model(camera: CameraCalibration) -> CameraModel:
         intrinsics=[camera.fx, camera.fy, camera.cx, camera.cy],
         distortion=list(camera.distortion),
         T_body_cam=camera.T_body_cam_matrix.tolist(),
+        is_mounting_measured=not has_borrowed_mounting(camera),
     )
 
 

@@ -66,10 +66,20 @@ class CalibrationCheck:
 
     @property
     def fits(self) -> bool | None:
-        """None: this recording does not tell. Sooner than how to repair it, it tells that something is wrong."""
+        """None: it does not tell all of it. Sooner than how to repair something, it tells that it is wrong."""
         if self.is_believed and any(quantity.is_surely_wrong for quantity in self.quantities):
             return False
-        return True if self.is_accepted else None
+        return True if self.is_accepted and not self.unseen else None
+
+    @property
+    def unseen(self) -> list[str]:
+        """What this motion does not show of where the camera sits and when it sees, by name."""
+        return [q.name for q in self.quantities if q.key in verdict.ASKED and not q.is_observable]
+
+    @property
+    def repairs(self) -> list[str]:
+        """What `repaired` replaces, by name."""
+        return [q.name for q in self.quantities if self.is_believed and q.is_observable and not q.fits]
 
     @property
     def repaired(self) -> CameraCalibration:
@@ -77,7 +87,7 @@ class CalibrationCheck:
         if self.solution is None or not self.is_believed:
             return self.told
         found, told = self.solution.estimate.camera, self.told
-        wrong = {q.key for q in self.quantities if q.is_observable and not q.fits}
+        wrong = {q.key for q in self.quantities if q.name in self.repairs}
         T, T_found = told.T_body_cam_matrix, found.T_body_cam_matrix
         if "rotation_deg" in wrong:
             T[:3, :3] = T_found[:3, :3]
@@ -93,6 +103,7 @@ class CalibrationCheck:
     def results(self) -> dict[str, Any]:
         """For scripts; numbers are null where nothing could be estimated."""
         out: dict[str, Any] = {"accepted": self.is_accepted, "reasons": self.reasons, "fits": self.fits}
+        out["repairs"] = self.repairs
         out["notes"] = [quantity.sentence for quantity in self.quantities]
         out["told"] = _numbers(self.told)
         if self.solution is None:

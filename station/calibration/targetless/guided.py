@@ -15,7 +15,7 @@ SIGMAS = ("rotation_deg", "translation_m", "time_shift_s", "line_delay_s", "grav
 
 
 def estimate_check(recording: Path, progress: Callable[[float, str], None]) -> dict[str, Any]:
-    """What the robot's calibration should say, in the fields of a calibration of camera and IMU.
+    """What the robot's calibration should say, in the fields of a calibration of camera and IMU, and what that repairs.
 
     The notes say of each quantity whether it fits; what fits, or cannot be seen in this motion, stays as told.
     Raises DataError: the recording has no images.
@@ -25,7 +25,7 @@ def estimate_check(recording: Path, progress: Callable[[float, str], None]) -> d
     results, told = found.results(), found.told
     names = (
         "T_body_cam", "time_shift_s", "line_delay_s", "gravity", "rms_px", "rms_gyro", "rms_accel", "intrinsics",
-        "distortion", "accepted", "reasons", "notes",
+        "distortion", "accepted", "reasons", "notes", "fits", "repairs",
     )  # fmt: skip
     sigma = results["sigma"]
     return {name: results[name] for name in names} | {

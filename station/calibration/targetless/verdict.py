@@ -30,6 +30,7 @@ MAX_NOISE_RATIO = 12.0  # of the IMU's residuals to the noise that was told: pro
 # The batch estimate starts from turning alone, which is good to a degree and some milliseconds.
 MAX_TURNED_DEG, MAX_SHIFTED_S = 3.0, 0.01
 SURELY = 3.0  # sigmas
+ASKED = ("rotation_deg", "translation_m", "time_shift_s")  # a calibration fits where all of these are seen to
 
 WAVE = "carry it by hand, tilt it up and down, turn it left and right and roll it for half a minute, in good light"
 

@@ -14,6 +14,7 @@ from shared.disk import replacing
 from shared.sensor_yaml import read_yaml
 from station.calibration.targetless.check import CalibrationCheck, check_calibration
 from station.calibration.targetless.recording import lively
+from station.calibration.targetless.verdict import WAVE
 from station.commands.options import Json, check_out_file
 from station.commands.progress import working
 from station.datasets import open_dataset
@@ -44,7 +45,7 @@ def check(
         data = open_dataset(dataset, needs_camera=calibration is None)
         known = data.calibration if calibration is None else as_calibration(read_yaml(calibration), calibration)
         found = check_calibration(lively(data, known, calibration or dataset), bar)
-    if found.is_accepted:
+    if is_written(found):
         with replacing(out) as file:
             file.write(calibration_text(msgspec.structs.replace(known, camera=found.repaired)).encode())
     print(json.dumps(found.results()) if as_json else summary(found, out))
@@ -56,7 +57,17 @@ def summary(found: CalibrationCheck, out: Path) -> str:
     """What a person wants to know."""
     lines = [quantity.sentence for quantity in found.quantities]
     lines += [f"refused: {reason}" for reason in found.reasons]
-    if found.is_accepted:
-        lines.append("the calibration fits" if found.fits else "the calibration does not fit: repaired")
-        lines.append(f"written to {out}")
+    if found.repairs and found.is_accepted:
+        lines.append(f"the calibration does not fit: {' and '.join(found.repairs)} repaired")
+    elif found.fits:
+        lines.append("the calibration fits")
+    elif found.is_accepted:
+        unseen = " and ".join(found.unseen)
+        lines.append(f"what this motion shows fits; it does not show {unseen}: {WAVE}")
+    lines.append(f"written to {out}" if is_written(found) else f"{out} is not written")
     return "\n".join(lines)
+
+
+def is_written(found: CalibrationCheck) -> bool:
+    """Whether the recording vouches for a calibration: for the one that was told, or for a repaired one."""
+    return found.is_accepted and (bool(found.repairs) or found.fits is True)

@@ -16,6 +16,7 @@ const SIZES: [string, string][] = [
   ["Letter", "Letter"],
   [OTHER, "Another board, measured"],
 ];
+const RULER_MM = "100"; // as printed at its true size
 const MEASURED: [string, string][] = [
   ["Columns", "6"],
   ["Rows", "6"],
@@ -26,6 +27,7 @@ const MEASURED: [string, string][] = [
 interface Kept {
   kind: string;
   size: string;
+  ruler?: string;
   measured: string[];
 }
 
@@ -35,6 +37,8 @@ export class BoardChoice {
   readonly node: HTMLElement;
   private readonly kind = choice("Board", KINDS);
   private readonly size = choice("Paper", SIZES);
+  private readonly ruler = make("input", { type: "number", step: "any", min: "90", max: "110", value: RULER_MM });
+  private readonly printed = make("label", {}, "Its ruler measures, mm", this.ruler);
   private readonly measured = MEASURED.map(([, value]) =>
     make("input", { type: "number", step: "any", min: "1", required: true, value }),
   );
@@ -49,10 +53,12 @@ export class BoardChoice {
     if (kept) {
       this.kind.select.value = kept.kind;
       this.size.select.value = kept.size;
+      this.ruler.value = kept.ruler ?? RULER_MM;
       this.measured.forEach((input, i) => (input.value = kept.measured[i] ?? input.value));
     }
-    this.node = make("div", {}, make("div", { class: "fields" }, this.kind.label, this.size.label), this.other);
-    for (const input of [this.kind.select, this.size.select, ...this.measured])
+    const fields = make("div", { class: "fields" }, this.kind.label, this.size.label, this.printed);
+    this.node = make("div", {}, fields, this.other);
+    for (const input of [this.kind.select, this.size.select, this.ruler, ...this.measured])
       input.addEventListener("change", () => this.changed());
     this.refresh();
   }
@@ -60,7 +66,8 @@ export class BoardChoice {
   /** As POST /calibration/sessions wants it. */
   get target(): Record<string, string | number | undefined> {
     const kind = this.kind.select.value;
-    if (this.size.select.value !== OTHER) return { kind, size: this.size.select.value };
+    if (this.size.select.value !== OTHER)
+      return { kind, size: this.size.select.value, ruler_mm: Number(this.ruler.value) };
     const [columns, rows, square = NaN, gap = NaN] = this.measured.map((input) => Number(input.value));
     const more = { aprilgrid: { gap_m: gap / 1000 }, charuco: { marker_m: gap / 1000 }, chessboard: {} };
     return { kind, columns, rows, square_m: square / 1000, ...more[kind as keyof typeof more] };
@@ -70,6 +77,7 @@ export class BoardChoice {
     const kept: Kept = {
       kind: this.kind.select.value,
       size: this.size.select.value,
+      ruler: this.ruler.value,
       measured: this.measured.map((input) => input.value),
     };
     localStorage.setItem(KEY, JSON.stringify(kept));
@@ -80,6 +88,7 @@ export class BoardChoice {
     const isOther = this.size.select.value === OTHER;
     show(this.other, isOther);
     show(this.print, !isOther);
+    show(this.printed, !isOther);
     const query = `kind=${this.kind.select.value}&size=${this.size.select.value}`;
     this.print.href = toRobot(`/calibration/target.pdf?${query}`);
   }

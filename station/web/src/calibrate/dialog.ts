@@ -5,11 +5,14 @@ import { by, context2d, make, present, setText, show } from "../ui/dom";
 import { capitalised, count } from "../ui/text";
 import { attempt } from "../ui/toast";
 import { BoardChoice } from "./board";
+import { checkOf, repairs } from "./check";
 import { after, CHOICES, GUIDED, type Kind } from "./kinds";
 import { mountingOf } from "./mounting";
 import { imuOf, wheelsOf } from "./outcome";
 import { drawLooking } from "./overlay";
 import { choice, link, presentOf, progressOf, resultOf } from "./parts";
+
+const ONLY_ADMINS = "Only an admin's token lets the robot use what comes of it; with yours it can be downloaded.";
 
 interface Outcome {
   accepted: boolean;
@@ -138,6 +141,7 @@ export class CalibrateDialog {
     };
     return [
       ...(this.told ? presentOf(this.told) : []),
+      ...(isAdmin() ? [] : [make("p", { class: "note bad" }, ONLY_ADMINS)]),
       make("div", { class: "fields" }, what.label),
       board.node,
       steps,
@@ -201,6 +205,7 @@ export class CalibrateDialog {
     return present(
       ...(session.result ? resultOf(session, session.result) : []),
       ...(session.mounting ? mountingOf(session, session.mounting) : []),
+      ...(session.check ? checkOf(session.check) : []),
       ...(session.wheels ? wheelsOf(session, session.wheels) : []),
       ...(session.imu ? imuOf(session, session.imu) : []),
       ...(result ? [] : [make("p", { class: "verdict bad", role: "status" }, capitalised(session.message))]),
@@ -221,14 +226,16 @@ export class CalibrateDialog {
         this.button("Again", again, "quiet apart"),
         this.closing(),
         isTold ? this.undoing() : null,
-        result?.accepted && !isTold ? this.button("Use it", use, "primary") : null,
+        result?.accepted && repairs(session.check) && !isTold && isAdmin()
+          ? this.button("Use it", use, "primary")
+          : null,
         isTold && following ? this.button(`Next: ${GUIDED[following].next}`, goOn, "primary") : null,
       ),
     );
   }
 
   private undoing(): HTMLElement | null {
-    if (!this.told?.can_undo || document.body.dataset.role !== "admin") return null;
+    if (!this.told?.can_undo || !isAdmin()) return null;
     return this.button("Undo", () => this.change(() => call("POST", "/calibration/undo")));
   }
 
@@ -277,7 +284,10 @@ function finishText({ kind, seen }: CalibrationSessionModel): string {
 
 /** What it came to, whatever was calibrated. */
 const outcomeOf = (session: CalibrationSessionModel): Outcome | null =>
-  session.result ?? session.mounting ?? session.wheels ?? session.imu;
+  session.result ?? session.mounting ?? session.check ?? session.wheels ?? session.imu;
+
+/** Only an admin changes what the robot tells. */
+const isAdmin = (): boolean => document.body.dataset.role === "admin";
 
 function find<T extends HTMLElement>(node: HTMLElement, selector: string, kind: new () => T): T {
   const found = node.querySelector(selector);

@@ -25,9 +25,7 @@ export function mountingOf(session: CalibrationSessionModel, result: MountingRes
         ...row("line delay", plusMinus(result.line_delay_s, sigma.line_delay_s, US, 2, "µs")),
         ...row("left over", `${fixed(result.rms_px, 2)} px rms, ${fixed(result.rms_accel, 3)} m/s²`),
       ),
-    sigma &&
-      session.kind !== "check" &&
-      residualsOf(session, "What is left over of each corner in the picture, and of the IMU over time"),
+    sigma && residualsOf(session, "What is left over of each corner in the picture, and of the IMU over time"),
     ...result.notes.map((note) => make("p", { class: "note" }, note)),
   );
 }

@@ -58,6 +58,7 @@ export function imuOf(session: CalibrationSessionModel, result: ImuResult): (Nod
 function figure(f: FigureResult | null): string {
   if (!f) return "?";
   const [low = NaN, high = NaN] = f.interval;
-  if (f.value === null) return `at most ${high.toExponential(2)} ${f.unit}`;
-  return `${f.value.toExponential(2)} (${low.toExponential(2)} to ${high.toExponential(2)}) ${f.unit}`;
+  const ends = `${low.toExponential(2)} to ${high.toExponential(2)}`;
+  if (f.value === null) return `${low > 0 ? ends : `at most ${high.toExponential(2)}`} ${f.unit}`;
+  return `${f.value.toExponential(2)} (${ends}) ${f.unit}`;
 }

@@ -13,6 +13,8 @@ import { GUIDED } from "./kinds";
 
 type Content = Node | string;
 
+const BORROWED_MOUNTING =
+  "Where the camera sits on the IMU, and when it sees, are the reference robot's: measure them next (camera and IMU).";
 const NUMBERS = ["fx", "fy", "cx", "cy"];
 
 export const link = (path: string, text: string, name = ""): HTMLAnchorElement =>
@@ -76,6 +78,7 @@ export function presentOf(told: CalibrationModel): Content[] {
     : "no camera";
   return present(
     make("p", { class: "note" }, `The robot tells ${told.source}: focal length ${focal}.`),
+    camera?.is_measured && !camera.is_mounting_measured && make("p", { class: "note bad" }, BORROWED_MOUNTING),
     told.fit &&
       make(
         "p",

@@ -122,8 +122,10 @@ export interface CalibrationSessionModel {
   job: string;
   /** of kind camera */
   result: CameraResult | null;
-  /** the result of kinds camera-imu and check */
+  /** the result of kind camera-imu */
   mounting: MountingResult | null;
+  /** the result of kind check */
+  check: CheckResult | null;
   /** the result of kind wheels */
   wheels: WheelsResult | null;
   /** the result of kind imu */
@@ -151,6 +153,8 @@ export interface CameraModel {
   line_delay_s: number;
   /** false: another robot's numbers, for want of its own */
   is_measured: boolean;
+  /** false: where it sits and when it sees are the reference robot's, for want of its own */
+  is_mounting_measured: boolean;
 }
 
 /** What is left out stays as the robot tells it now. */
@@ -191,6 +195,34 @@ export interface CapabilitiesModel {
   hijack: boolean;
   max_linear_m_s: number;
   max_angular_rad_s: number;
+}
+
+/** What a recording without a board says of the calibration; the numbers are those told, or repaired. */
+export interface CheckResult {
+  T_body_cam: number[][] | null;
+  time_shift_s: number | null;
+  line_delay_s: number | null;
+  /** m/s² in the target's axes */
+  gravity: number[] | null;
+  sigma: MountingSigma | null;
+  rms_px: number | null;
+  /** rad/s */
+  rms_gyro: number | null;
+  /** m/s² */
+  rms_accel: number | null;
+  model: "radtan" | "equidistant";
+  resolution: number[];
+  /** of the lens, a little refined */
+  intrinsics: number[] | null;
+  distortion: number[] | null;
+  accepted: boolean;
+  reasons: string[];
+  /** of each quantity whether it fits, or why this motion does not show it */
+  notes: string[];
+  /** null: this motion does not show all of it */
+  fits: boolean | null;
+  /** the quantities that the robot should tell otherwise */
+  repairs: string[];
 }
 
 export interface ClockModel {
@@ -572,7 +604,7 @@ export interface MountingResult {
   distortion: number[] | null;
   accepted: boolean;
   reasons: string[];
-  /** what was not used of the recording; of kind check what fits and what does not */
+  /** what was not used of the recording */
   notes: string[];
 }
 
@@ -946,6 +978,8 @@ export interface TargetOrder {
   kind: "aprilgrid" | "charuco" | "chessboard";
   /** of the paper it was printed on; else give the numbers */
   size: "A4" | "A3" | "Letter" | null;
+  /** what the printed page's ruler measures */
+  ruler_mm: number;
   /** tags, or inner corners */
   columns: number | null;
   rows: number | null;

@@ -9,11 +9,25 @@ import msgspec
 import numpy as np
 import pytest
 
-from shared.calibration import REFERENCE_IMU, REFERENCE_ROBOT, Calibration, WheelCalibration
-from station.api.schema.calibration import ImuResult, order_of_result, ordered_calibration
+from shared.calibration import (
+    REFERENCE_IMU,
+    REFERENCE_ROBOT,
+    Calibration,
+    WheelCalibration,
+    has_borrowed_mounting,
+)
+from shared.geometry import FloatArray
+from station.api.schema.calibration import (
+    ImuResult,
+    calibration_by_result,
+    is_used,
+    order_of_result,
+    ordered_calibration,
+)
 from station.calibration.guidance import GuidedKind
 from station.calibration.imu.calibrate import calibrate_imu
 from station.calibration.imu.report import calibration_json
+from station.calibration.target_page import printed_target
 from station.calibration.wheels import Factor, Wheels
 from station.calibration.wheels_guided import wheels_result
 from station.errors import Conflict
@@ -57,3 +71,55 @@ def test_wheels_count_on_top_of_what_the_robot_drove_with() -> None:
     after = ordered_calibration(told, order)
     assert after.wheels == WheelCalibration(speed=1.0, turn=0.45)
     assert ordered_calibration(after, order) == after  # used twice it counts once
+
+
+def checked(repairs: list[str], T_body_cam: FloatArray) -> dict[str, Any]:
+    """A check without a board that the motion sufficed for."""
+    camera = REFERENCE_ROBOT.camera
+    assert camera is not None
+    numbers = (
+        "line_delay_s", "gravity", "sigma", "rms_px", "rms_gyro", "rms_accel", "intrinsics", "distortion",
+    )  # fmt: skip
+    return dict.fromkeys(numbers) | {
+        "T_body_cam": T_body_cam.tolist(), "time_shift_s": camera.time_shift_s, "model": camera.model,
+        "resolution": [camera.width, camera.height], "accepted": True, "reasons": [], "notes": [],
+        "fits": not repairs, "repairs": repairs,
+    }  # fmt: skip
+
+
+def test_a_check_that_repairs_nothing_is_nothing_to_be_used() -> None:
+    camera = REFERENCE_ROBOT.camera
+    assert camera is not None
+    nothing = session("check", checked([], camera.T_body_cam_matrix))
+    with pytest.raises(Conflict, match="nothing to repair"):
+        calibration_by_result(nothing, REFERENCE_ROBOT)
+    assert not is_used(nothing, REFERENCE_ROBOT)
+
+
+def test_a_result_is_refused_once_the_numbers_it_rests_on_were_replaced() -> None:
+    camera = REFERENCE_ROBOT.camera
+    assert camera is not None
+    T = camera.T_body_cam_matrix
+    T[0, 3] += 0.02
+    repaired = session("check", checked(["position"], T))
+    after = calibration_by_result(repaired, REFERENCE_ROBOT)
+    assert after.camera is not None and after.camera.T_body_cam_matrix[0, 3] == T[0, 3]
+    assert is_used(repaired, after) and calibration_by_result(repaired, after) == after  # a second press does no harm
+    other_lens = msgspec.structs.replace(REFERENCE_ROBOT, camera=msgspec.structs.replace(camera, fx=camera.fx + 9.0))
+    with pytest.raises(Conflict, match="other numbers since"):
+        calibration_by_result(repaired, other_lens)
+    new_wheels = msgspec.structs.replace(REFERENCE_ROBOT, wheels=WheelCalibration(speed=0.8, turn=0.5))
+    assert calibration_by_result(repaired, new_wheels).camera == after.camera  # they have nothing to do with it
+
+
+def test_a_lens_that_was_calibrated_alone_leaves_the_mounting_another_robots() -> None:
+    camera = REFERENCE_ROBOT.camera
+    assert camera is not None and not has_borrowed_mounting(camera)  # the reference robot's own
+    lens = msgspec.structs.replace(camera, fx=900.0, fy=900.0)
+    assert has_borrowed_mounting(lens)
+    assert not has_borrowed_mounting(msgspec.structs.replace(lens, time_shift_s=camera.time_shift_s + 1e-6))
+
+
+def test_a_printed_board_is_as_large_as_its_ruler_says() -> None:
+    whole, shrunk = (printed_target("aprilgrid", "A4", ruler_mm) for ruler_mm in (100.0, 97.0))
+    assert shrunk.corners == pytest.approx(0.97 * whole.corners)

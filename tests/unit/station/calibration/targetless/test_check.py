@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from shared.calibration import REFERENCE_CAMERA
 from shared.geometry import FloatArray
-from station.calibration.targetless.check import check_calibration
+from station.calibration.targetless.check import CalibrationCheck, check_calibration
 from station.calibration.targetless.verdict import Quantity, too_vague
-from station.commands.calibrate.check import lively
+from station.commands.calibrate.check import is_written, lively, summary
 from station.datasets import open_dataset
 from tests.support.paths import RECORDINGS
 
@@ -36,6 +39,41 @@ def test_nothing_is_written_where_something_is_surely_wrong_and_too_vague_to_rep
     vague = quantity("rotation_deg", np.array([5.0, 0.0, 0.0]), 0.4)
     assert "surely off" in too_vague([vague, shift])[0]
     assert too_vague([quantity("rotation_deg", np.array([0.1, 0.0, 0.0]), 0.4), shift]) == []
+
+
+def checked(*quantities: Quantity) -> CalibrationCheck:
+    return CalibrationCheck(REFERENCE_CAMERA, too_vague(list(quantities)), None, list(quantities), is_believed=True)
+
+
+RIGHT_ROTATION = quantity("rotation_deg", np.zeros(3), 0.1)
+RIGHT_POSITION = quantity("translation_m", np.zeros(3), 0.1)
+RIGHT_SHIFT = quantity("time_shift_s", np.zeros(1), 0.1)
+
+
+def test_it_fits_where_all_that_is_asked_is_seen_to() -> None:
+    found = checked(RIGHT_ROTATION, RIGHT_POSITION, RIGHT_SHIFT)
+    assert found.fits is True and found.repairs == [] and is_written(found)
+    assert "the calibration fits" in summary(found, Path("found.yaml"))
+
+
+@pytest.mark.parametrize(
+    "unseen",
+    [
+        quantity("rotation_deg", np.array([0.9, 0.0, 0.0]), 0.4),
+        quantity("rotation_deg", np.array([5.0, 0.0, 0.0]), 0.1, "one axis only"),
+    ],
+)
+def test_it_is_not_said_to_fit_where_the_motion_does_not_show_how_the_camera_sits(unseen: Quantity) -> None:
+    found = checked(unseen, RIGHT_POSITION, RIGHT_SHIFT)
+    assert found.is_accepted and found.fits is None and not is_written(found)
+    said = summary(found, Path("found.yaml"))
+    assert "does not show rotation_deg" in said and "the calibration fits" not in said and "not written" in said
+
+
+def test_what_is_seen_to_be_wrong_is_repaired_though_the_rest_is_not_seen() -> None:
+    wrong = quantity("time_shift_s", np.array([2.0]), 0.1)
+    found = checked(quantity("rotation_deg", np.zeros(3), 0.1, "one axis only"), RIGHT_POSITION, wrong)
+    assert found.fits is False and found.repairs == ["time_shift_s"] and is_written(found)
 
 
 class Silent:
