@@ -141,7 +141,7 @@ class HeadCalibration(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ImuNoise(msgspec.Struct, frozen=True, kw_only=True):
-    """Continuous-time noise of the IMU (Kalibr's conventions)."""
+    """Continuous-time noise of the IMU (Kalibr's conventions). Estimators divide by each, so that none is 0."""
 
     gyro_density: float  # rad/s/sqrt(Hz)
     accel_density: float  # m/s^2/sqrt(Hz)
@@ -153,8 +153,10 @@ class ImuNoise(msgspec.Struct, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         for name in ("gyro_density", "accel_density", "gyro_walk", "accel_walk"):
-            if not 0 <= getattr(self, name) <= MAX_NOISE:
-                raise ConfigError(f"the IMU's {name} is {getattr(self, name):g}, must be 0 to {MAX_NOISE:g} (SI units)")
+            if not 0 < getattr(self, name) <= MAX_NOISE:
+                raise ConfigError(
+                    f"the IMU's {name} is {getattr(self, name):g}, must be over 0, up to {MAX_NOISE:g} (SI units)"
+                )
         if not 0 < self.rate_hz <= MAX_RATE_HZ:
             raise ConfigError(f"the IMU's rate_hz is {self.rate_hz:g}, must be over 0, up to {MAX_RATE_HZ:.0f}")
         if not (self.gyro_range > 0 and self.accel_range > 0):

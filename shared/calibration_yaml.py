@@ -15,7 +15,7 @@ import yaml
 
 from shared.calibration import Calibration, CameraCalibration, ImuNoise, WheelCalibration
 from shared.errors import ConfigError, DataError
-from shared.sensor_yaml import number, read_camera, read_imu_noise, read_rig, read_yaml
+from shared.sensor_yaml import number, read_camera, read_own_noise, read_rig, read_yaml
 
 IMU_HEAD = "# Noise of an inertial unit in continuous time, SI units (docs/calibration.md).\n"
 HEAD = "# What is known of this robot's sensors (docs/robot.md). t_imu = t_cam + time_shift_s.\n"
@@ -109,7 +109,7 @@ def _yaml(content: dict[str, Any]) -> str:
 
 def read_imu(path: Path) -> ImuNoise:
     """An `imu.yaml` of ours or kalibr's. Raises DataError, which names the file and the key."""
-    return read_imu_noise(path, read_yaml(path))
+    return read_own_noise(path, read_yaml(path))
 
 
 def read_calibration(path: Path) -> Calibration:
@@ -132,7 +132,7 @@ def as_calibration(content: dict[str, Any], path: Path) -> Calibration:
     try:
         return Calibration(
             camera=None if camera is None else read_camera(path, camera),
-            imu=None if imu is None else read_imu_noise(path, imu),
+            imu=None if imu is None else read_own_noise(path, imu),
             robot_kind=str(content.get("robot_kind", "generic")),
             gravity=number(content, "gravity", 9.81, path),
             rig=read_rig(content, path),

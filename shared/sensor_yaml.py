@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, cast
 
@@ -24,8 +24,23 @@ DISTORTION_MODELS = {
     "equidistant": "equidistant",
     "kannala_brandt4": "equidistant",
 }
-# A noise file without these keys gets the figures of a consumer-grade IMU, so that estimators stay cautious.
+COEFFICIENTS = ("distortion_coefficients", "distortion_coeffs")  # EuRoC's key and kalibr's
+# A dataset that does not say one of these gets the figure of a consumer-grade IMU, so that estimators stay cautious.
 CONSUMER_IMU = {"gyro_density": 3e-4, "accel_density": 3e-3, "gyro_walk": 3e-5, "accel_walk": 3e-3}
+NOISE_KEYS = {
+    "gyro_density": "gyroscope_noise_density",
+    "accel_density": "accelerometer_noise_density",
+    "gyro_walk": "gyroscope_random_walk",
+    "accel_walk": "accelerometer_random_walk",
+}
+# What our commands' JSON objects call some keys of the files.
+JSON_NAMES = {
+    "distortion": "distortion_coefficients",
+    "gyro_noise_density": "gyroscope_noise_density",
+    "accel_noise_density": "accelerometer_noise_density",
+    "gyro_random_walk": "gyroscope_random_walk",
+    "accel_random_walk": "accelerometer_random_walk",
+}
 
 MAX_EXPOSURE_S = 10.0
 CAMERA_FILES = ("camera.yaml", "camera-intrinsics.txt")  # of a folder of images
@@ -122,15 +137,7 @@ def read_camera(path: Path, content: dict[str, Any] | None = None) -> CameraCali
     model = str(content.get("distortion_model", "none")).lower()
     if model not in DISTORTION_MODELS:
         raise DataError(f"{path}: distortion_model {shown(model)} is unknown; use radial-tangential or equidistant")
-    distortion = [0.0] * 4
-    if content.get("distortion_coefficients") is not None:
-        given = content["distortion_coefficients"]
-        given = given.get("data") if isinstance(given, dict) else given
-        count = len(given) if isinstance(given, list) and 1 <= len(given) <= 5 else 4
-        values = numbers(content, "distortion_coefficients", count, path)
-        if any(v != 0.0 for v in values[4:]):
-            raise DataError(f"{path}: distortion_coefficients may be k1, k2, p1, p2; a non-zero k3 is not supported")
-        distortion[: min(count, 4)] = values[:4]
+    distortion = _read_distortion(content, model, path)
     try:
         return CameraCalibration(
             width=int(width),
@@ -140,7 +147,7 @@ def read_camera(path: Path, content: dict[str, Any] | None = None) -> CameraCali
             cx=cx,
             cy=cy,
             model="equidistant" if DISTORTION_MODELS[model] == "equidistant" else "radtan",
-            distortion=tuple(distortion),
+            distortion=distortion,
             T_body_cam=tuple(read_mounting(content, path).ravel().tolist()),
             time_shift_s=number(content, "time_shift_s", 0.0, path),
             line_delay_s=number(content, "line_delay_s", 0.0, path),
@@ -149,6 +156,31 @@ def read_camera(path: Path, content: dict[str, Any] | None = None) -> CameraCali
         )
     except ConfigError as exc:
         raise DataError(f"{path}: {exc}") from exc
+
+
+def _read_distortion(content: dict[str, Any], model: str, path: Path) -> tuple[float, ...]:
+    """Four coefficients; zeros only where the file names no lens model either."""
+    key = next((key for key in COEFFICIENTS if content.get(key) not in (None, [])), None)
+    if key is None:
+        _refuse_json_names(content, ("distortion",), path)
+        if model != "none":
+            raise DataError(
+                f"{path}: distortion_model is {model} without distortion_coefficients; write these, or the model none"
+            )
+        return (0.0,) * 4
+    given = content[key]
+    given = given.get("data") if isinstance(given, dict) else given
+    count = len(given) if isinstance(given, list) and 1 <= len(given) <= 5 else 4
+    values = numbers(content, key, count, path)
+    if any(v != 0.0 for v in values[4:]):
+        raise DataError(f"{path}: {key} may be k1, k2, p1, p2; a non-zero k3 is not supported")
+    return tuple([*values, 0.0, 0.0, 0.0][:4])
+
+
+def _refuse_json_names(content: dict[str, Any], names: Iterable[str], path: Path) -> None:
+    for name in names:
+        if name in content:
+            raise DataError(f"{path}: {name} is what --json calls it; in a file it is {JSON_NAMES[name]}")
 
 
 def read_bare_camera(path: Path) -> CameraCalibration:
@@ -169,28 +201,42 @@ def read_folder_camera(folder: Path, image_size: Callable[[], tuple[int, int]]) 
 
 
 def read_imu_noise(path: Path, content: dict[str, Any]) -> ImuNoise:
-    """Noise figures from an IMU's `sensor.yaml`, or from kalibr's `imu.yaml` (its results have a section `imu0`)."""
-    if isinstance(content.get("imu0"), dict):
-        content = content["imu0"]
+    """Noise figures from an IMU's `sensor.yaml`, or from kalibr's `imu.yaml` (its results have a section `imu0`).
 
-    def density(key: str, default: float) -> float:
-        if content.get(key) == np.inf:  # a range without limit, as the simulator writes for a given recording
-            return default
-        value = number(content, key, default, path)
-        return value if value > 0 else default
+    A figure that is not there, or 0 as of a perfect sensor, is a consumer-grade IMU's.
+    """
+    content = _imu_section(content)
+    _refuse_json_names(content, (name for name in JSON_NAMES if JSON_NAMES[name] in NOISE_KEYS.values()), path)
+
+    def reach(key: str) -> float:  # a range without limit, as the simulator writes for a given recording
+        return np.inf if content.get(key) == np.inf else number(content, key, np.inf, path)
 
     try:
         return ImuNoise(
-            gyro_density=density("gyroscope_noise_density", CONSUMER_IMU["gyro_density"]),
-            accel_density=density("accelerometer_noise_density", CONSUMER_IMU["accel_density"]),
-            gyro_walk=density("gyroscope_random_walk", CONSUMER_IMU["gyro_walk"]),
-            accel_walk=density("accelerometer_random_walk", CONSUMER_IMU["accel_walk"]),
-            rate_hz=density("rate_hz", density("update_rate", 200.0)),
-            gyro_range=density("gyroscope_range", np.inf),
-            accel_range=density("accelerometer_range", np.inf),
+            **{name: number(content, key, 0.0, path) or CONSUMER_IMU[name] for name, key in NOISE_KEYS.items()},
+            rate_hz=number(content, "rate_hz", number(content, "update_rate", 200.0, path), path),
+            gyro_range=reach("gyroscope_range"),
+            accel_range=reach("accelerometer_range"),
         )
     except ConfigError as exc:
         raise DataError(f"{path}: {exc}") from exc
+
+
+def read_own_noise(path: Path, content: dict[str, Any]) -> ImuNoise:
+    """Noise figures from a file that is there to say them: one that says none is refused."""
+    section = _imu_section(content)
+    for key in NOISE_KEYS.values():
+        if section.get(key) == 0:
+            raise DataError(f"{path}: {key} is 0, must be over 0; no sensor is without noise")
+    noise = read_imu_noise(path, content)
+    if not section.keys() & set(NOISE_KEYS.values()):
+        raise DataError(f"{path} says none of {', '.join(NOISE_KEYS.values())}; `station calibrate imu` measures them")
+    return noise
+
+
+def _imu_section(content: dict[str, Any]) -> dict[str, Any]:
+    section = content.get("imu0")
+    return section if isinstance(section, dict) else content
 
 
 def read_intrinsics_text(path: Path) -> FloatArray:

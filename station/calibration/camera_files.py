@@ -86,7 +86,7 @@ def read_camchain(path: Path) -> CameraCalibration:
             "resolution": content.get("resolution"),
             "intrinsics": content.get("intrinsics"),
             "distortion_model": content.get("distortion_model", "none"),
-            "distortion_coefficients": content.get("distortion_coeffs"),
+            "distortion_coeffs": content.get("distortion_coeffs"),
             "T_BS": T_body_cam.ravel().tolist(),
             "time_shift_s": content.get("timeshift_cam_imu"),
             "line_delay_s": content.get("line_delay"),

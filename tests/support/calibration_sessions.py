@@ -14,7 +14,7 @@ from shared.calibration import REFERENCE_CAMERA, REFERENCE_IMU, CameraCalibratio
 from shared.geometry import FloatArray, se3, so3_exp, so3_log
 from station.calibration.target import BoardView, Target
 from station.model.frames import ImuBatch
-from station.vision.lens import Lens
+from station.vision.lens import BoolArray, Lens
 
 ORIGIN_NS = 5_000_000_000_000
 IMU_MARGIN_S = 0.5  # the IMU begins before the first image and ends after the last
@@ -151,25 +151,32 @@ def _views(
     target: Target,
     noise_px: float,
 ) -> list[BoardView]:
-    lens, corners = Lens(camera), target.corners
-    T = camera.T_body_cam_matrix
-    ids = np.tile(np.arange(len(corners)), len(times))
-    t = np.repeat(times, len(corners))
+    uv, seen = exposed(times, camera, motion, target.corners)
+    uv = uv + rng.normal(0.0, noise_px, uv.shape)
+    views = []
+    for time, places, in_view in zip(times, uv, seen, strict=True):
+        stamp = ORIGIN_NS + round(1e9 * time)
+        views.append(BoardView(f"{stamp}.png", stamp, np.flatnonzero(in_view), places[in_view]))
+    return [view for view in views if len(view.ids) >= 8]
+
+
+def exposed(
+    times: FloatArray, camera: CameraCalibration, motion: HandheldMotion, points: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Where images at times (K,), camera clock, show points (P, 3) of the target's frame: (K, P, 2) px, and whether."""
+    lens, T = Lens(camera), camera.T_body_cam_matrix
+    which = np.tile(np.arange(len(points)), len(times))
+    t = np.repeat(times, len(points))
     v = np.full(len(t), 0.5 * camera.height)
-    for _ in range(6):  # each corner is seen by the row that is exposed when it lies there
+    for _ in range(6):  # each point is seen by the row that is exposed when it lies there
         R, p = motion.body(t + camera.time_shift_s + camera.line_delay_s * v)
-        p_body = (np.swapaxes(R, 1, 2) @ (corners[ids] - p)[..., None])[..., 0]
+        p_body = (np.swapaxes(R, 1, 2) @ (points[which] - p)[..., None])[..., 0]
         p_cam = (p_body - T[:3, 3]) @ T[:3, :3]
         uv = lens.project(p_cam[:, :2] / p_cam[:, 2:])
         v = uv[:, 1]
     seen = lens.is_inside(uv, 5.0) & (p_cam[:, 2] > 0.05)
-    uv = uv + rng.normal(0.0, noise_px, uv.shape)
-    views = []
-    for index, time in enumerate(times):
-        at = np.flatnonzero(seen[index * len(corners) : (index + 1) * len(corners)]) + index * len(corners)
-        stamp = ORIGIN_NS + round(1e9 * time)
-        views.append(BoardView(f"{stamp}.png", stamp, ids[at], uv[at]))
-    return [view for view in views if len(view.ids) >= 8]
+    shape = (len(times), len(points))
+    return uv.reshape(*shape, 2), seen.reshape(shape)
 
 
 def without(session: Session, first: int, last: int) -> Session:

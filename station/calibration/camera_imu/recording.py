@@ -14,6 +14,7 @@ from shared.errors import DataError
 from shared.geometry import FloatArray
 from shared.sensor_yaml import CONSUMER_IMU
 from station.calibration import CALIBRATE_CAMERA
+from station.calibration.assumed import assumed_noise
 from station.calibration.boards import make_finder, view_board
 from station.calibration.camera_imu.calibrate import HandheldRecording
 from station.calibration.target import BoardView, Target
@@ -52,16 +53,17 @@ def read_recording(
     """The recording with the target found in its images; without an IMU they need not be looked at."""
     imu = data.imu or ImuBatch(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
     views, notes = views_of(data, target, lens, steps) if len(imu) else ([], [])
+    noise = known.imu or ImuNoise(**CONSUMER_IMU, rate_hz=200.0)
     return HandheldRecording(
         views=views,
         num_images=len(data.frame_times_ns),
         imu=imu,
         target=target,
         camera=lens,
-        noise=known.imu or ImuNoise(**CONSUMER_IMU, rate_hz=200.0),
+        noise=noise,
         gravity=known.gravity,
         sigma_intrinsics=lens_sigma(lens),
-        notes=notes,
+        notes=[*notes, *assumed_noise(noise)],
     )
 
 

@@ -38,12 +38,18 @@ TURNS = ("tilt it up and down", "turn it left and right", "roll it about the dir
 def poor_views(poses: CameraPoses, num_images: int) -> list[str]:
     """Reasons against a recording that shows too little of the target."""
     seen = len(poses.t_s)
-    if seen and seen >= MIN_SHARE_SEEN * num_images and np.ptp(poses.t_s) < MIN_DURATION_S:
-        return [f"the target is in view for {np.ptp(poses.t_s):.0f} s only: record 30 to 60 s"]
-    if seen < max(MIN_VIEWS, MIN_SHARE_SEEN * num_images):
+    if seen == 0 or seen < MIN_SHARE_SEEN * num_images:
         return [
             f"the target was found in {seen} of {num_images} images only: more light, a sharp lens, go nearer, and keep"
             " the whole target in view"
+        ]
+    seconds = float(np.ptp(poses.t_s))
+    if seconds < MIN_DURATION_S:
+        return [f"the target is in view for {seconds:.0f} s only: record 30 to 60 s"]
+    if seen < MIN_VIEWS:
+        return [
+            f"{seen} images of the target in {seconds:.0f} s are too few to follow the motion, which takes {MIN_VIEWS}:"
+            " record longer, or at more images a second"
         ]
     return []
 

@@ -17,7 +17,7 @@ from station.motion import lie
 from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import Preintegration, preintegrate
 
-RATE_STEP_S = 0.005  # over which the angular rate at an image is taken
+RATE_STEP_S = 0.005  # over which the angular rate at a row is taken
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +85,7 @@ def sighting_rows(now: Estimate, seen: Sightings, inertial: Inertial, sigma_px: 
     later = camera.line_delay_s * (seen.uv_px[:, 1] - middle)
     t = now.t_s[k] + later
     bias = now.bias_at(now.t_s)
-    rate = inertial.rate(now.t_s) - bias[:, :3]
+    rate = inertial.rate(t) - bias[k, :3]
     a = (now.R @ (inertial.force(now.t_s) - bias[:, 3:])[..., None])[..., 0] + now.gravity
     turn = inertial.angle(t) - inertial.angle(now.t_s)[k] - later[:, None] * bias[k, :3]
     after = so3_exp(turn)
@@ -102,7 +102,7 @@ def sighting_rows(now: Estimate, seen: Sightings, inertial: Inertial, sigma_px: 
     by_state[..., :3] = by_q @ skew(q) @ np.swapaxes(after, 1, 2)
     by_state[..., 3:6] = by_p
     by_state[..., 6:] = by_p * later[:, None, None]
-    moving = -np.cross(rate[k], q) - rho[:, None] * (Rt @ v[..., None])[..., 0]
+    moving = -np.cross(rate, q) - rho[:, None] * (Rt @ v[..., None])[..., 0]
     by_point = np.empty((M, 2, 3))
     by_point[..., :2] = by_q @ Rt @ across(now.ray)[corner]
     by_point[..., 2] = (by_q @ ((Rt @ away[..., None])[..., 0] - t_body_cam)[..., None])[..., 0]

@@ -33,6 +33,7 @@ class Sightings:
     corner: IntArray  # (M,) 0 .. L - 1, each seen in consecutive images
     uv_px: FloatArray  # (M, 2)
     xy: FloatArray  # (M, 2) normalised, by the lens that was told
+    notes: tuple[str, ...] = ()  # what is to be said about images that could not be used
 
     @property
     def num_corners(self) -> int:
@@ -70,8 +71,9 @@ def follow(
     """Corners followed through all of the images; of these about MAX_KEYFRAMES are kept.
 
     The gyroscope, by the calibration that was told, only says where to look.
+    Images that cannot be read are passed over; `Sightings.notes` says so.
     Raises:
-        DataError: an image cannot be read, or is not of the lens' size.
+        DataError: an image is not of the lens' size, or none can be read.
     """
     lens = Lens(camera)
     tracker, anchors = Tracker(lens, TRACKER), Anchors()
@@ -82,10 +84,15 @@ def follow(
     images: list[IntArray] = []
     ids: list[IntArray] = []
     uv: list[FloatArray] = []
+    unreadable: list[str] = []
     before_s = None
     for number, frame in enumerate(frames):
         advance()
-        grey = frame.grey()
+        try:
+            grey = frame.grey()
+        except DataError as exc:
+            unreadable.append(str(exc))
+            continue
         if grey.shape != (camera.height, camera.width):
             raise DataError(
                 f"image {frame.name or frame.index} has {grey.shape[1]}x{grey.shape[0]} pixels, the lens was calibrated"
@@ -106,9 +113,15 @@ def follow(
         ids.append(numbers)
         uv.append(at_px)
     if not times:
-        raise DataError("none of the images can be used; record the camera as well")
+        raise DataError(f"none of the images can be used{_first(unreadable)}; record the camera as well")
     uv_px = np.concatenate(uv)
-    return _sorted(np.array(times), np.concatenate(images), np.concatenate(ids), uv_px, lens.unproject(uv_px))
+    seen = _sorted(np.array(times), np.concatenate(images), np.concatenate(ids), uv_px, lens.unproject(uv_px))
+    notes = (f"not used: {len(unreadable)} images cannot be read{_first(unreadable)}",) if unreadable else ()
+    return replace(seen, notes=notes)
+
+
+def _first(unreadable: list[str]) -> str:
+    return f", the first: {unreadable[0]}" if unreadable else ""
 
 
 def _angle(t_s: float, t_imu_s: FloatArray, angle: FloatArray) -> FloatArray:

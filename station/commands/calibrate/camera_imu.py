@@ -15,7 +15,7 @@ from shared.calibration import Calibration, CameraCalibration
 from shared.calibration_yaml import as_calibration, calibration_text
 from shared.disk import replacing
 from shared.errors import DataError
-from shared.sensor_yaml import read_camera, read_imu_noise, read_yaml
+from shared.sensor_yaml import read_camera, read_own_noise, read_yaml
 from station.calibration import CALIBRATE_CAMERA
 from station.calibration.camera_files import read_camchain
 from station.calibration.camera_imu.calibrate import calibrate_camera_imu
@@ -76,7 +76,7 @@ def told(own: Calibration, camera: Path | None, imu: Path | None) -> Calibration
         own = msgspec.structs.replace(own, camera=read_lens(camera))
     if imu is not None:
         content = read_yaml(imu)
-        noise = as_calibration(content, imu).imu if "imu" in content else read_imu_noise(imu, content)
+        noise = as_calibration(content, imu).imu if "imu" in content else read_own_noise(imu, content)
         own = msgspec.structs.replace(own, imu=noise)
     return own
 

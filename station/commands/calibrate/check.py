@@ -12,7 +12,8 @@ import typer
 from shared.calibration_yaml import as_calibration, calibration_text
 from shared.disk import replacing
 from shared.sensor_yaml import read_yaml
-from station.calibration.targetless.check import CalibrationCheck, check_calibration
+from station.calibration.assumed import assumed_noise
+from station.calibration.targetless.check import CalibrationCheck, LivelyRecording, check_calibration
 from station.calibration.targetless.recording import lively
 from station.calibration.targetless.verdict import WAVE
 from station.commands.options import Json, check_out_file
@@ -44,18 +45,27 @@ def check(
     with working(f"opening {dataset.name}") as bar:
         data = open_dataset(dataset, needs_camera=calibration is None)
         known = data.calibration if calibration is None else as_calibration(read_yaml(calibration), calibration)
-        found = check_calibration(lively(data, known, calibration or dataset), bar)
+        recording = lively(data, known, calibration or dataset)
+        found = check_calibration(recording, bar)
     if is_written(found):
         with replacing(out) as file:
             file.write(calibration_text(msgspec.structs.replace(known, camera=found.repaired)).encode())
-    print(json.dumps(found.results()) if as_json else summary(found, out))
+    notes = notes_on(recording, found)
+    results = found.results()
+    results["notes"] += notes
+    print(json.dumps(results) if as_json else summary(found, notes, out))
     if not found.is_accepted:
         raise typer.Exit(REFUSED)
 
 
-def summary(found: CalibrationCheck, out: Path) -> str:
+def notes_on(recording: LivelyRecording, found: CalibrationCheck) -> list[str]:
+    """What was not told or not used."""
+    return [*assumed_noise(recording.noise), *([] if found.solution is None else found.solution.problem.seen.notes)]
+
+
+def summary(found: CalibrationCheck, notes: list[str], out: Path) -> str:
     """What a person wants to know."""
-    lines = [quantity.sentence for quantity in found.quantities]
+    lines = [*(quantity.sentence for quantity in found.quantities), *notes]
     lines += [f"refused: {reason}" for reason in found.reasons]
     if found.repairs and found.is_accepted:
         lines.append(f"the calibration does not fit: {' and '.join(found.repairs)} repaired")

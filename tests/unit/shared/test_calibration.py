@@ -55,6 +55,7 @@ EYE = tuple(np.eye(4).ravel().tolist())
         (REFERENCE_HEAD, {"pivot_body": (0.0, 100.0, 0.0)}, "further than 10 m"),
         (REFERENCE_IMU, {"gyro_density": 1e9}, "gyro_density is 1e"),
         (REFERENCE_IMU, {"accel_walk": -1.0}, "accel_walk is -1"),
+        (REFERENCE_IMU, {"gyro_walk": 0.0}, "gyro_walk is 0, must be over 0"),
         (REFERENCE_IMU, {"rate_hz": -5.0}, "rate_hz is -5"),
         (REFERENCE_IMU, {"gyro_range": 0.0}, "must be over 0"),
         (REFERENCE_ROBOT, {"gravity": 0.0}, "gravity is 0"),

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from shared.calibration import ImuNoise
 from shared.calibration_yaml import imu_text, read_imu
 from shared.errors import DataError
-from shared.sensor_yaml import read_imu_noise, read_yaml
+from shared.sensor_yaml import CONSUMER_IMU, read_imu_noise, read_yaml
 
 figure = st.floats(1e-9, 1.0)
 KALIBR = """imu0:
@@ -69,3 +69,26 @@ def test_a_word_in_place_of_a_number_is_refused_by_file_and_key(tmp_path: Path) 
     path.write_text("gyroscope_noise_density: small\n")
     with pytest.raises(DataError, match=r"imu\.yaml: gyroscope_noise_density"):
         read_imu(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("gyro_noise_density: 0.0003\naccel_noise_density: 0.003\n", "in a file it is gyroscope_noise_density"),
+        ("update_rate: 200.0\n", "says none of gyroscope_noise_density"),
+        ("gyroscope_noise_density: -0.0003\n", "gyro_density is -0.0003, must be over 0"),
+        ("accelerometer_random_walk: 0.0\n", "accelerometer_random_walk is 0, must be over 0"),
+        ("gyroscope_noise_density: 0.0003\nrate_hz: 0\n", "rate_hz is 0, must be over 0"),
+        ("gyroscope_noise_density: .inf\n", "gyroscope_noise_density must be 1 numbers"),
+    ],
+)
+def test_a_file_of_noise_never_becomes_a_consumer_units_without_a_word(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "imu.yaml"
+    path.write_text(text)
+    with pytest.raises(DataError, match=words):
+        read_imu(path)
+
+
+def test_a_dataset_may_leave_out_what_nobody_measured(tmp_path: Path) -> None:
+    imu = read_imu_noise(tmp_path / "sensor.yaml", {"rate_hz": 100, "gyroscope_noise_density": 0.0})
+    assert (imu.gyro_density, imu.rate_hz) == (CONSUMER_IMU["gyro_density"], 100.0)

@@ -9,6 +9,7 @@ import pytest
 
 from shared.calibration import REFERENCE_CAMERA, REFERENCE_IMU, CameraCalibration, ImuNoise
 from shared.calibration_yaml import camera_sensor_text, imu_sensor_text, read_imu
+from shared.errors import DataError
 from shared.sensor_yaml import read_camera, read_rig, read_yaml
 
 FISHEYE = msgspec.structs.replace(
@@ -23,6 +24,37 @@ def test_a_camera_is_read_back_as_it_was(camera: CameraCalibration, tmp_path: Pa
     path.write_text(camera_sensor_text(camera, rig="hand-held"))
     assert read_camera(path) == camera
     assert read_rig(read_yaml(path), path) == "hand-held"
+
+
+LENS = "resolution: [640, 480]\nintrinsics: [500, 500, 320, 240]\n"
+
+
+def test_kalibrs_key_of_the_distortion_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "camera.yaml"
+    path.write_text(LENS + "distortion_model: equidistant\ndistortion_coeffs: [0.1, 0.02, 0.003, 0.0004]\n")
+    assert read_camera(path).distortion == (0.1, 0.02, 0.003, 0.0004)
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ("distortion_model: radtan\n", "distortion_model is radtan without distortion_coefficients"),
+        ("distortion_model: equidistant\ndistortion_coefs: [0.1, 0, 0, 0]\n", "without distortion_coefficients"),
+        ("model: radtan\ndistortion: [-0.3, 0.1, 0, 0]\n", "in a file it is distortion_coefficients"),
+    ],
+)
+def test_a_lens_without_its_distortion_is_refused(tmp_path: Path, more: str, words: str) -> None:
+    path = tmp_path / "camera.yaml"
+    path.write_text(LENS + more)
+    with pytest.raises(DataError, match=words):
+        read_camera(path)
+
+
+@pytest.mark.parametrize("more", ["", "distortion_model: none\n", "distortion_model: none\ndistortion_coeffs: []\n"])
+def test_a_lens_of_no_model_has_no_distortion(tmp_path: Path, more: str) -> None:
+    path = tmp_path / "camera.yaml"
+    path.write_text(LENS + more)
+    assert read_camera(path).distortion == (0.0, 0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("imu", [REFERENCE_IMU, ENDLESS], ids=["with ranges", "without"])

@@ -57,6 +57,24 @@ def test_a_lively_recording_is_accepted(good: tuple[Session, CameraImuCalibratio
     assert good[1].reasons == []
 
 
+@pytest.mark.parametrize(
+    ("views", "num_images", "words"),
+    [
+        (0, 0, "more light"),
+        (30, 115, "more light, a sharp lens, go nearer"),
+        (36, 36, "36 images of the target in 1. s are too few .* record longer, or at more images a second"),
+    ],
+)
+def test_too_few_images_of_the_target_are_refused_with_what_helps(
+    good: tuple[Session, CameraImuCalibration], views: int, num_images: int, words: str
+) -> None:
+    session, _ = good
+    spread = np.linspace(0, len(session.views) - 1, views).astype(int)
+    found = calibrated(replace(session, views=[session.views[i] for i in spread]), num_images)
+    assert re.search(words, found.reasons[0]) and len(found.reasons) == 1
+    assert ("more light" in found.reasons[0]) == (views != 36)
+
+
 def test_mounting_time_shift_and_line_delay_are_found(good: tuple[Session, CameraImuCalibration]) -> None:
     session, found = good
     results, true = found.results(), session.camera

@@ -127,3 +127,27 @@ def test_the_lens_and_the_noise_may_be_files_of_kalibr(tmp_path: Path) -> None:
     assert known.imu is not None
     assert (known.camera.fx, known.camera.width, known.camera.distortion[0]) == (500.0, 640, -0.3)
     assert (known.imu.gyro_density, known.imu.accel_walk, known.imu.rate_hz) == (0.0003, 0.002, 250.0)
+
+
+def test_a_file_of_noise_that_says_none_is_an_error(tmp_path: Path) -> None:
+    imu = tmp_path / "imu.yaml"
+    imu.write_text("update_rate: 250.0\n")
+    with pytest.raises(DataError, match="says none of gyroscope_noise_density"):
+        told(REFERENCE_ROBOT, None, imu)
+
+
+def test_a_recording_that_says_nothing_of_the_imus_noise_is_noted(tmp_path: Path) -> None:
+    folder = tmp_path / "short"
+    record_session(Kind.CAMERA_IMU, folder, 5, "too-short", seconds=1.0)
+    assert "measures" not in notes_of(folder, tmp_path)
+    (folder / "mav0" / "imu0" / "sensor.yaml").write_text("rate_hz: 200\ngyroscope_noise_density: 0.0002\n")
+    note = notes_of(folder, tmp_path)
+    assert (
+        "accelerometer_random_walk" in note and "a consumer IMU's are taken; `station calibrate imu` measures" in note
+    )
+    assert "gyroscope_noise_density" not in note
+
+
+def notes_of(folder: Path, scratch: Path) -> str:
+    _, printed = calibrate(folder, scratch / "calibration.yaml", "--json")
+    return " ".join(json.loads(printed.splitlines()[-1])["notes"])

@@ -11,7 +11,7 @@ from shared.geometry import FloatArray
 from station.model.frames import ImuBatch
 from station.motion.imu_buffer import ON_WHEELS, ImuBuffer
 
-NOISE = ImuNoise(gyro_density=2e-4, accel_density=2e-3, gyro_walk=0.0, accel_walk=0.0, rate_hz=200.0)
+NOISE = ImuNoise(gyro_density=2e-4, accel_density=2e-3, gyro_walk=2e-5, accel_walk=3e-3, rate_hz=200.0)
 T_S = np.arange(800) / NOISE.rate_hz
 
 

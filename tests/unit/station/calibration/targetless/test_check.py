@@ -53,7 +53,7 @@ RIGHT_SHIFT = quantity("time_shift_s", np.zeros(1), 0.1)
 def test_it_fits_where_all_that_is_asked_is_seen_to() -> None:
     found = checked(RIGHT_ROTATION, RIGHT_POSITION, RIGHT_SHIFT)
     assert found.fits is True and found.repairs == [] and is_written(found)
-    assert "the calibration fits" in summary(found, Path("found.yaml"))
+    assert "the calibration fits" in summary(found, [], Path("found.yaml"))
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_it_fits_where_all_that_is_asked_is_seen_to() -> None:
 def test_it_is_not_said_to_fit_where_the_motion_does_not_show_how_the_camera_sits(unseen: Quantity) -> None:
     found = checked(unseen, RIGHT_POSITION, RIGHT_SHIFT)
     assert found.is_accepted and found.fits is None and not is_written(found)
-    said = summary(found, Path("found.yaml"))
+    said = summary(found, [], Path("found.yaml"))
     assert "does not show rotation_deg" in said and "the calibration fits" not in said and "not written" in said
 
 

@@ -102,7 +102,7 @@ def test_propagated_covariance_is_that_of_moved_samples(kind: ErrorKind, use_sig
         pytest.skip("the analytic Jacobian exists for the right-invariant error only")
     state = random_state(3, sigma=1e-4)
     imu = imu_segment(4)
-    silent = ImuNoise(gyro_density=0.0, accel_density=0.0, gyro_walk=0.0, accel_walk=0.0, rate_hz=200.0)
+    silent = ImuNoise(gyro_density=1e-12, accel_density=1e-12, gyro_walk=1e-12, accel_walk=1e-12, rate_hz=200.0)
     config = PropagationConfig(kind, use_sigma_points, 1.0, 9.81)
     end = propagate(state, imu, silent, config)
     columns = []
@@ -130,7 +130,7 @@ def test_six_sigma_columns_suffice_for_the_right_invariant_error() -> None:
     S = np.zeros_like(state.S)
     S[:, 10] = dx
     fields = {f: getattr(state, f) for f in state.__dataclass_fields__}
-    silent = ImuNoise(gyro_density=0.0, accel_density=0.0, gyro_walk=0.0, accel_walk=0.0, rate_hz=200.0)
+    silent = ImuNoise(gyro_density=1e-12, accel_density=1e-12, gyro_walk=1e-12, accel_walk=1e-12, rate_hz=200.0)
     end = propagate(FilterState(**{**fields, "S": S}), imu, silent, config)
     moved = propagate(retract(ErrorKind.RIGHT, state, dx), imu, silent, config)
     phi, xi = difference_group(ErrorKind.RIGHT, end.R, end.X, moved.R, moved.X)
