@@ -115,9 +115,9 @@ def follow(
     if not times:
         raise DataError(f"none of the images can be used{_first(unreadable)}; record the camera as well")
     uv_px = np.concatenate(uv)
-    seen = _sorted(np.array(times), np.concatenate(images), np.concatenate(ids), uv_px, lens.unproject(uv_px))
     notes = (f"not used: {len(unreadable)} images cannot be read{_first(unreadable)}",) if unreadable else ()
-    return replace(seen, notes=notes)
+    sightings = _sorted(np.array(times), np.concatenate(images), np.concatenate(ids), uv_px, lens.unproject(uv_px))
+    return replace(sightings, notes=notes)
 
 
 def _first(unreadable: list[str]) -> str:
