@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated, Literal, get_args
 
 import msgspec
@@ -25,6 +26,7 @@ MAX_DISTORTION = 1000.0
 MAX_LEVER_M = 10.0  # camera or head from the IMU
 MAX_SKEW = 1e-3  # of a rotation's rows from unit length and right angles
 MAX_NOISE = 10.0  # of a gyroscope's or accelerometer's densities and walks, SI units
+MAX_SCALE, MAX_MISALIGNMENT_RAD = 2.0, 0.5  # of an accelerometer; more is a mistake of units
 MAX_RATE_HZ = 1e5
 WHEEL_FACTORS = (0.1, 10.0)  # beyond, a command and what comes of it are not the same motion
 GRAVITIES = (1.0, 30.0)  # m/s^2, smaller than the Moon's, more than Jupiter's
@@ -140,8 +142,37 @@ class HeadCalibration(msgspec.Struct, frozen=True, kw_only=True):
             raise ConfigError(f"the head's lag_s is {self.lag_s:g}, must be within 0 to {MAX_SHIFT_S:g} s")
 
 
+class AccelerometerCalibration(msgspec.Struct, frozen=True, kw_only=True):
+    """What a sensor makes of forces, but for its bias, which drifts and is estimated on the way.
+
+    force = T (scale * reading), T of `upper_triangular`. Source: Tedaldi, Pretto and Menegatti, ICRA 2014, eqs. 2, 5.
+    """
+
+    scale: tuple[float, float, float]
+    misalignment: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rad: y towards x, z towards x, z towards y
+
+    def __post_init__(self) -> None:
+        if not all(1 / MAX_SCALE <= s <= MAX_SCALE for s in self.scale):
+            raise ConfigError(f"the accelerometer's scale {self.scale} is none, 1 means right")
+        if not all(abs(a) <= MAX_MISALIGNMENT_RAD for a in self.misalignment):
+            raise ConfigError(f"the accelerometer's misalignment {self.misalignment} is none, it is in radians")
+
+    def forces(self, readings: FloatArray) -> FloatArray:
+        """(N, 3) of readings (N, 3), both m/s^2."""
+        return np.asarray((np.array(self.scale) * readings) @ upper_triangular(self.misalignment).T)
+
+
+def upper_triangular(angles: Sequence[float] | FloatArray) -> FloatArray:
+    """(3, 3) from axes that are not at right angles, x right: Tedaldi, Pretto and Menegatti, ICRA 2014, eq. 2."""
+    yx, zx, zy = angles
+    return np.array([[1.0, -yx, zx], [0.0, 1.0, -zy], [0.0, 0.0, 1.0]])
+
+
 class ImuNoise(msgspec.Struct, frozen=True, kw_only=True):
-    """Continuous-time noise of the IMU (Kalibr's conventions). Estimators divide by each, so that none is 0."""
+    """Continuous-time noise of the IMU (Kalibr's conventions), and what is known of its accelerometer besides.
+
+    Estimators divide by each noise, so that none is 0.
+    """
 
     gyro_density: float  # rad/s/sqrt(Hz)
     accel_density: float  # m/s^2/sqrt(Hz)
@@ -150,6 +181,7 @@ class ImuNoise(msgspec.Struct, frozen=True, kw_only=True):
     rate_hz: float
     gyro_range: float = math.inf  # rad/s: readings at the range are saturated
     accel_range: float = math.inf  # m/s^2
+    accelerometer: AccelerometerCalibration | msgspec.UnsetType = msgspec.UNSET  # not measured
 
     def __post_init__(self) -> None:
         for name in ("gyro_density", "accel_density", "gyro_walk", "accel_walk"):
@@ -161,6 +193,11 @@ class ImuNoise(msgspec.Struct, frozen=True, kw_only=True):
             raise ConfigError(f"the IMU's rate_hz is {self.rate_hz:g}, must be over 0, up to {MAX_RATE_HZ:.0f}")
         if not (self.gyro_range > 0 and self.accel_range > 0):
             raise ConfigError(f"the IMU's ranges ({self.gyro_range:g}, {self.accel_range:g}) must be over 0")
+
+    def forces(self, readings: FloatArray) -> FloatArray:
+        """(N, 3) m/s^2 of an accelerometer's readings (N, 3): as they are, where its errors were not measured."""
+        known = self.accelerometer
+        return known.forces(readings) if isinstance(known, AccelerometerCalibration) else readings
 
 
 class WheelCalibration(msgspec.Struct, frozen=True, kw_only=True):

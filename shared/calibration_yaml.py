@@ -13,9 +13,9 @@ from typing import Any
 import msgspec
 import yaml
 
-from shared.calibration import Calibration, CameraCalibration, ImuNoise, WheelCalibration
+from shared.calibration import AccelerometerCalibration, Calibration, CameraCalibration, ImuNoise, WheelCalibration
 from shared.errors import ConfigError, DataError
-from shared.sensor_yaml import number, read_camera, read_own_noise, read_rig, read_yaml
+from shared.sensor_yaml import ACCELEROMETER_KEYS, number, read_camera, read_own_noise, read_rig, read_yaml
 
 IMU_HEAD = "# Noise of an inertial unit in continuous time, SI units (docs/calibration.md).\n"
 HEAD = "# What is known of this robot's sensors (docs/robot.md). t_imu = t_cam + time_shift_s.\n"
@@ -68,7 +68,9 @@ def camera_content(camera: CameraCalibration) -> dict[str, Any]:
     }
 
 
-def _imu_content(imu: ImuNoise) -> dict[str, float]:
+def _imu_content(imu: ImuNoise) -> dict[str, Any]:
+    known = imu.accelerometer
+    measured = isinstance(known, AccelerometerCalibration)
     return {
         "rate_hz": float(imu.rate_hz),
         "gyroscope_noise_density": float(imu.gyro_density),
@@ -77,12 +79,17 @@ def _imu_content(imu: ImuNoise) -> dict[str, float]:
         "accelerometer_random_walk": float(imu.accel_walk),
         "gyroscope_range": float(imu.gyro_range),
         "accelerometer_range": float(imu.accel_range),
+        **(
+            {key: [float(v) for v in getattr(known, name)] for name, key in ACCELEROMETER_KEYS.items()}
+            if measured
+            else {}
+        ),
     }
 
 
 def imu_text(imu: ImuNoise) -> str:
     """An `imu.yaml` as kalibr reads it, and `read_imu_noise`, so that it serves as a dataset's `imu0/sensor.yaml`."""
-    finite = {key: value for key, value in _imu_content(imu).items() if math.isfinite(value)}
+    finite = {key: value for key, value in _imu_content(imu).items() if value != math.inf}
     content = {"rostopic": "/imu0", "update_rate": float(imu.rate_hz), **finite}
     return IMU_HEAD + yaml.safe_dump(content, sort_keys=False)
 

@@ -7,12 +7,13 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, cast
 
+import msgspec
 import numpy as np
 import yaml
 from yaml.error import MarkedYAMLError
 
 from shared.bounded import read_text, shown
-from shared.calibration import RIGS, CameraCalibration, ImuNoise, Rig
+from shared.calibration import RIGS, AccelerometerCalibration, CameraCalibration, ImuNoise, Rig
 from shared.errors import ConfigError, DataError
 from shared.geometry import FloatArray, orthonormal, se3
 
@@ -33,6 +34,8 @@ NOISE_KEYS = {
     "gyro_walk": "gyroscope_random_walk",
     "accel_walk": "accelerometer_random_walk",
 }
+# Ours, beside kalibr's: force = T (scale * reading), shared/calibration.py.
+ACCELEROMETER_KEYS = {"scale": "accelerometer_scale", "misalignment": "accelerometer_misalignment"}
 # What our commands' JSON objects call some keys of the files.
 JSON_NAMES = {
     "distortion": "distortion_coefficients",
@@ -217,9 +220,28 @@ def read_imu_noise(path: Path, content: dict[str, Any]) -> ImuNoise:
             rate_hz=number(content, "rate_hz", number(content, "update_rate", 200.0, path), path),
             gyro_range=reach("gyroscope_range"),
             accel_range=reach("accelerometer_range"),
+            accelerometer=_read_accelerometer(path, content),
         )
     except ConfigError as exc:
         raise DataError(f"{path}: {exc}") from exc
+
+
+def consumer_imu(rate_hz: float) -> ImuNoise:
+    """What is believed of an IMU of which nobody told anything."""
+    return ImuNoise(
+        gyro_density=CONSUMER_IMU["gyro_density"],
+        accel_density=CONSUMER_IMU["accel_density"],
+        gyro_walk=CONSUMER_IMU["gyro_walk"],
+        accel_walk=CONSUMER_IMU["accel_walk"],
+        rate_hz=rate_hz,
+    )
+
+
+def _read_accelerometer(path: Path, content: dict[str, Any]) -> AccelerometerCalibration | msgspec.UnsetType:
+    given = {name: numbers(content, key, 3, path) for name, key in ACCELEROMETER_KEYS.items() if key in content}
+    if "scale" not in given:
+        return msgspec.UNSET
+    return AccelerometerCalibration(**{name: (x, y, z) for name, (x, y, z) in given.items()})
 
 
 def read_own_noise(path: Path, content: dict[str, Any]) -> ImuNoise:

@@ -106,12 +106,12 @@ class ImuBuffer:
         self._t, self._gyro, self._accel = self._t[start:], self._gyro[start:], self._accel[start:]
 
     def samples(self, start_ns: int, end_ns: int) -> ImuBatch:
-        """Raw samples within [start, end]."""
+        """Samples within [start, end], with forces in place of the accelerometer's readings."""
         a, b = np.searchsorted(self._t, [start_ns, end_ns + 1])
-        return ImuBatch(self._t[a:b], self._gyro[a:b], self._accel[a:b])
+        return ImuBatch(self._t[a:b], self._gyro[a:b], self._noise.forces(self._accel[a:b]))
 
     def segment(self, start_ns: int, end_ns: int) -> ImuSegment:
-        """Steps from start to end: means of neighbouring samples, interpolated at both ends.
+        """Steps from start to end: means of neighbouring samples, interpolated at both ends; forces, as in `samples`.
 
         Before the first and after the last sample their values are held. A gap is one long interpolated step whose
         noise grows with the gap; readings at the sensor's range get ten times the noise.
@@ -134,7 +134,7 @@ class ImuBuffer:
         return ImuSegment(
             dt_s=dt,
             gyro=0.5 * (gyro[:-1] + gyro[1:]),
-            accel=0.5 * (accel[:-1] + accel[1:]),
+            accel=self._noise.forces(0.5 * (accel[:-1] + accel[1:])),
             end_t_ns=end_ns,
             end_gyro=gyro[-1],
             noise_scale=scale,

@@ -7,7 +7,13 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 import msgspec
 from pydantic import Field, model_validator
 
-from shared.calibration import Calibration, CameraCalibration, ImuNoise, has_borrowed_mounting
+from shared.calibration import (
+    AccelerometerCalibration,
+    Calibration,
+    CameraCalibration,
+    ImuNoise,
+    has_borrowed_mounting,
+)
 from shared.calibration_yaml import calibration_text
 from shared.errors import ConfigError
 from station.api.schema.base import Model, Number, Question
@@ -49,6 +55,10 @@ class ImuModel(Model):
     accel_noise_density: float
     accel_random_walk: float
     rate_hz: float
+    accel_scale: list[float] | None = Field(
+        description="force = T (scale * reading), along x, y, z; null: not measured"
+    )
+    accel_misalignment: list[float] | None = Field(description="rad, of T: y to x, z to x, z to y")
 
 
 class WheelsModel(Model):
@@ -90,6 +100,14 @@ class ImuOrder(Question):
     gyro_random_walk: Density | None = None
     accel_noise_density: Density | None = None
     accel_random_walk: Density | None = None
+    accel_scale: Annotated[list[Number], Field(min_length=3, max_length=3)] | None = None
+    accel_misalignment: Annotated[list[Number], Field(min_length=3, max_length=3)] | None = None
+
+    @model_validator(mode="after")
+    def _has_a_scale(self) -> Self:
+        if self.accel_misalignment is not None and self.accel_scale is None:
+            raise ValueError("give accel_scale as well: a misalignment belongs to the scale it was measured with")
+        return self
 
 
 class WheelsOrder(Question):
@@ -274,10 +292,12 @@ class UsedNoise(Model):
     accel_noise_density: float
     accel_random_walk: float
     rate_hz: float
+    accel_scale: list[float] | None
+    accel_misalignment: list[float] | None
 
 
 class AccelerometerResult(Model, extra="ignore"):
-    """By the rests on several sides. The robot tells none of it: nothing corrects readings by it."""
+    """By the rests on several sides. Scale and misalignment are told; the bias drifts, and is estimated on the way."""
 
     scale: list[float]
     misalignment: list[float] | None = Field(description="rad; null: too few sides")
@@ -450,7 +470,14 @@ def _imu_model(imu: ImuNoise) -> ImuModel:
         accel_noise_density=imu.accel_density,
         accel_random_walk=imu.accel_walk,
         rate_hz=imu.rate_hz,
+        **_accelerometer_fields(imu.accelerometer),
     )
+
+
+def _accelerometer_fields(known: AccelerometerCalibration | msgspec.UnsetType) -> dict[str, list[float] | None]:
+    if not isinstance(known, AccelerometerCalibration):
+        return {"accel_scale": None, "accel_misalignment": None}
+    return {"accel_scale": list(known.scale), "accel_misalignment": list(known.misalignment)}
 
 
 def ordered_calibration(told: Calibration, order: CalibrationOrder) -> Calibration:
@@ -488,11 +515,16 @@ def _camera_changes(order: CameraOrder) -> dict[str, Any]:
     return changes | {name: value for name, value in given.items() if value is not None}
 
 
-def _imu_changes(order: ImuOrder) -> dict[str, float]:
-    given = {
+def _imu_changes(order: ImuOrder) -> dict[str, Any]:
+    given: dict[str, Any] = {
         "gyro_density": order.gyro_noise_density,
         "gyro_walk": order.gyro_random_walk,
         "accel_density": order.accel_noise_density,
         "accel_walk": order.accel_random_walk,
     }
+    if order.accel_scale is not None:
+        scale, angles = order.accel_scale, order.accel_misalignment or [0.0, 0.0, 0.0]
+        given["accelerometer"] = AccelerometerCalibration(
+            scale=(scale[0], scale[1], scale[2]), misalignment=(angles[0], angles[1], angles[2])
+        )
     return {name: value for name, value in given.items() if value is not None}

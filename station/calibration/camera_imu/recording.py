@@ -9,10 +9,10 @@ from typing import Protocol
 
 import numpy as np
 
-from shared.calibration import Calibration, CameraCalibration, ImuNoise
+from shared.calibration import Calibration, CameraCalibration
 from shared.errors import DataError
 from shared.geometry import FloatArray
-from shared.sensor_yaml import CONSUMER_IMU
+from shared.sensor_yaml import consumer_imu
 from station.calibration import CALIBRATE_CAMERA
 from station.calibration.assumed import assumed_noise
 from station.calibration.boards import make_finder, view_board
@@ -53,7 +53,7 @@ def read_recording(
     """The recording with the target found in its images; without an IMU they need not be looked at."""
     imu = data.imu or ImuBatch(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
     views, notes = views_of(data, target, lens, steps) if len(imu) else ([], [])
-    noise = known.imu or ImuNoise(**CONSUMER_IMU, rate_hz=200.0)
+    noise = known.imu or consumer_imu(200.0)
     return HandheldRecording(
         views=views,
         num_images=len(data.frame_times_ns),

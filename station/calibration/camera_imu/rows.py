@@ -38,10 +38,11 @@ class Samples:
 
     @classmethod
     def of(cls, imu: ImuBatch, noise: ImuNoise, origin_ns: int) -> Samples:
-        """With the standard deviation of one sample that such noise means."""
+        """With the standard deviation of one sample that such noise means; accelerations are forces, as in a buffer."""
         t_s = np.asarray(1e-9 * (imu.t_robot_ns - origin_ns), dtype=np.float64)
         per_sample = 1.0 / np.sqrt(np.median(np.diff(t_s)))
-        return cls(t_s, imu.gyro_imu, imu.accel_imu, noise.gyro_density * per_sample, noise.accel_density * per_sample)
+        sigmas = noise.gyro_density * per_sample, noise.accel_density * per_sample
+        return cls(t_s, imu.gyro_imu, noise.forces(imu.accel_imu), *sigmas)
 
     @property
     def interval_s(self) -> float:

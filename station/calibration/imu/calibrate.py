@@ -6,9 +6,10 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 
-from shared.calibration import ImuNoise
+from shared.calibration import AccelerometerCalibration, ImuNoise
 from shared.geometry import FloatArray
 from shared.sensor_yaml import CONSUMER_IMU
 from station.calibration.imu.noise_fit import FLAT_SHARE, Estimate, Noise
@@ -67,7 +68,7 @@ def calibrate_imu(
 
     Args:
         imu: the recording; when it was moved is found and cut out.
-        told: only for its ranges, at which readings are saturated.
+        told: its ranges, at which readings are saturated, and the accelerometer's errors, unless found anew, are kept.
         motors: it, resting, with its motors running.
         gravity: m/s^2, where it was recorded.
     Raises:
@@ -93,7 +94,7 @@ def calibrate_imu(
         stillness=stillness,
         gyro=gyro,
         accel=accel,
-        used=_used(gyro, accel, shaking, samples.rate_hz, told),
+        used=_used(gyro, accel, shaking, samples.rate_hz, told, accelerometer),
         shaking=shaking,
         gyro_bias=at_rest[:, GYRO].mean(axis=0),
         gravity=forces.mean_length(),
@@ -250,6 +251,7 @@ def _used(
     shaking: tuple[Shaking, Shaking] | None,
     rate_hz: float,
     told: ImuNoise | None,
+    accelerometer: AccelerometerErrors | None,
 ) -> ImuNoise:
     """The measured figures, a consumer unit's where one is not known, and the motors' shaking where it is more."""
     shaken = (0.0, 0.0) if shaking is None else (shaking[0].density, shaking[1].density)
@@ -261,7 +263,17 @@ def _used(
         rate_hz=rate_hz,
         gyro_range=math.inf if told is None else told.gyro_range,
         accel_range=math.inf if told is None else told.accel_range,
+        accelerometer=_errors_told(accelerometer, told),
     )
+
+
+def _errors_told(
+    found: AccelerometerErrors | None, told: ImuNoise | None
+) -> AccelerometerCalibration | msgspec.UnsetType:
+    """What is measured now, or was before."""
+    if found is not None:
+        return found.told
+    return msgspec.UNSET if told is None else told.accelerometer
 
 
 def _noisiest(sensor: SensorNoise, figure: str) -> float:

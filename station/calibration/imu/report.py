@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from shared.calibration import ImuNoise
+from shared.calibration import AccelerometerCalibration, ImuNoise
 from station.calibration.imu.calibrate import ImuCalibration
 from station.calibration.imu.noise_fit import Estimate
 from station.calibration.imu.sensor import SensorNoise
@@ -77,13 +77,17 @@ def _errors_json(errors: AccelerometerErrors) -> dict[str, Any]:
     }
 
 
-def _used_json(used: ImuNoise) -> dict[str, float]:
+def _used_json(used: ImuNoise) -> dict[str, Any]:
+    """`accel_scale` and `accel_misalignment` are null where the accelerometer was never laid on its sides."""
+    known = used.accelerometer if isinstance(used.accelerometer, AccelerometerCalibration) else None
     return {
         "gyro_noise_density": used.gyro_density,
         "gyro_random_walk": used.gyro_walk,
         "accel_noise_density": used.accel_density,
         "accel_random_walk": used.accel_walk,
         "rate_hz": used.rate_hz,
+        "accel_scale": None if known is None else list(known.scale),
+        "accel_misalignment": None if known is None else list(known.misalignment),
     }
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
+from shared.calibration import AccelerometerCalibration, upper_triangular
 from shared.geometry import FloatArray
 from station.calibration.imu.still import EvenSamples
 
@@ -44,6 +45,13 @@ class AccelerometerErrors:
     def angles_known(self) -> bool:
         """Whether the rests tell the angles; six on the flat sides do not."""
         return bool((self.sigma[ANGLES] < KNOWN_SHARE * PRIOR[ANGLES]).all())
+
+    @property
+    def told(self) -> AccelerometerCalibration:
+        """What the estimation is told; it finds the bias by itself, since that drifts."""
+        x, y, z = self.scale.tolist()
+        yx, zx, zy = self.angles.tolist() if self.angles_known else (0.0, 0.0, 0.0)
+        return AccelerometerCalibration(scale=(x, y, z), misalignment=(yx, zx, zy))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,9 +138,7 @@ def fit_errors(rests: RestForces, density: float, walk: float, gravity: float) -
 
 def _corrected(x: FloatArray, force: FloatArray) -> FloatArray:
     """(n, 3) Tedaldi et al., eq. 5, with the bias' sign turned: what is read too much."""
-    yx, zx, zy = x[ANGLES]
-    T = np.array([[1.0, -yx, zx], [0.0, 1.0, -zy], [0.0, 0.0, 1.0]])
-    return (x[SCALE] * (force - x[BIAS])) @ T.T
+    return np.asarray((x[SCALE] * (force - x[BIAS])) @ upper_triangular(x[ANGLES]).T)
 
 
 def _covariance(rests: RestForces, density: float, walk: float) -> FloatArray:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from shared.calibration import Calibration, ImuNoise
+from shared.calibration import Calibration
 from shared.errors import DataError
-from shared.sensor_yaml import CONSUMER_IMU
+from shared.sensor_yaml import consumer_imu
 from station.calibration import CALIBRATE_CAMERA
 from station.calibration.targetless.check import LivelyRecording
 from station.datasets import Dataset
@@ -27,7 +27,7 @@ def lively(data: Dataset, known: Calibration, where: Path) -> LivelyRecording:
         read_frames=data.read_frames,
         imu=data.imu or empty,
         camera=known.camera,
-        noise=known.imu or data.calibration.imu or ImuNoise(**CONSUMER_IMU, rate_hz=200.0),
+        noise=known.imu or data.calibration.imu or consumer_imu(200.0),
         gravity=known.gravity,
         drive=tuple(data.drive),
     )

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared.calibration import ImuNoise
+from shared.calibration import AccelerometerCalibration, ImuNoise
 from shared.calibration_yaml import imu_text, read_imu
 from shared.errors import DataError
 from shared.sensor_yaml import CONSUMER_IMU, read_imu_noise, read_yaml
@@ -29,7 +30,17 @@ KALIBR = """imu0:
 """
 
 
-@given(figure, figure, figure, figure, st.floats(1.0, 2000.0), st.floats(1.0, 1e3) | st.just(math.inf))
+known = st.builds(
+    AccelerometerCalibration,
+    scale=st.tuples(*[st.floats(0.6, 1.6)] * 3),
+    misalignment=st.tuples(*[st.floats(-0.4, 0.4)] * 3),
+)
+
+
+@given(
+    figure, figure, figure, figure, st.floats(1.0, 2000.0), st.floats(1.0, 1e3) | st.just(math.inf),
+    known | st.just(msgspec.UNSET),
+)  # fmt: skip
 def test_every_number_is_read_back_as_it_is(
     tmp_path_factory: pytest.TempPathFactory,
     gyro: float,
@@ -38,6 +49,7 @@ def test_every_number_is_read_back_as_it_is(
     accel_walk: float,
     rate: float,
     limit: float,
+    accelerometer: AccelerometerCalibration | msgspec.UnsetType,
 ) -> None:
     imu = ImuNoise(
         gyro_density=gyro,
@@ -47,6 +59,7 @@ def test_every_number_is_read_back_as_it_is(
         rate_hz=rate,
         gyro_range=limit,
         accel_range=limit,
+        accelerometer=accelerometer,
     )
     path = tmp_path_factory.mktemp("imu") / "imu.yaml"
     path.write_text(imu_text(imu))

@@ -1,6 +1,6 @@
 // Made by `python -m station.api.page_types` from station/api/schema and station/api/messages.py. Do not edit.
 
-/** By the rests on several sides. The robot tells none of it: nothing corrects readings by it. */
+/** By the rests on several sides. Scale and misalignment are told; the bias drifts, and is estimated on the way. */
 export interface AccelerometerResult {
   scale: number[];
   /** rad; null: too few sides */
@@ -456,6 +456,10 @@ export interface ImuModel {
   accel_noise_density: number;
   accel_random_walk: number;
   rate_hz: number;
+  /** force = T (scale * reading), along x, y, z; null: not measured */
+  accel_scale: number[] | null;
+  /** rad, of T: y to x, z to x, z to y */
+  accel_misalignment: number[] | null;
 }
 
 /** What is left out stays as the robot tells it now. */
@@ -464,6 +468,8 @@ export interface ImuOrder {
   gyro_random_walk: number | null;
   accel_noise_density: number | null;
   accel_random_walk: number | null;
+  accel_scale: number[] | null;
+  accel_misalignment: number[] | null;
 }
 
 /** What a recording at rest came to; in `result.json` is all of it, axis by axis. */
@@ -1020,6 +1026,8 @@ export interface UsedNoise {
   accel_noise_density: number;
   accel_random_walk: number;
   rate_hz: number;
+  accel_scale: number[] | null;
+  accel_misalignment: number[] | null;
 }
 
 /** A stretch of time with one answer. */

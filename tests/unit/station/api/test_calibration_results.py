@@ -12,10 +12,12 @@ import pytest
 from shared.calibration import (
     REFERENCE_IMU,
     REFERENCE_ROBOT,
+    AccelerometerCalibration,
     Calibration,
     WheelCalibration,
     has_borrowed_mounting,
 )
+from shared.calibration_yaml import calibration_text, read_calibration
 from shared.geometry import FloatArray
 from station.api.schema.calibration import (
     ImuResult,
@@ -33,6 +35,7 @@ from station.calibration.wheels_guided import wheels_result
 from station.errors import Conflict
 from station.model.frames import ImuBatch
 from station.robots.guided_calibration import CalibrationSession
+from tests.support.inertial_noise import EDGES, FACES, turned
 
 
 def session(kind: GuidedKind, result: dict[str, Any], told: Calibration = REFERENCE_ROBOT) -> CalibrationSession:
@@ -71,6 +74,20 @@ def test_wheels_count_on_top_of_what_the_robot_drove_with() -> None:
     after = ordered_calibration(told, order)
     assert after.wheels == WheelCalibration(speed=1.0, turn=0.45)
     assert ordered_calibration(after, order) == after  # used twice it counts once
+
+
+def test_an_accelerometer_that_was_laid_on_its_sides_is_ordered_with_its_errors(tmp_path: Path) -> None:
+    found = calibrate_imu(turned(2, np.vstack([FACES, EDGES])).imu)
+    result = calibration_json(found)
+    after = calibration_by_result(session("imu", result), REFERENCE_ROBOT)
+    assert after.imu is not None and isinstance(after.imu.accelerometer, AccelerometerCalibration)
+    assert list(after.imu.accelerometer.scale) == result["accelerometer"]["scale"]
+    file = tmp_path / "calibration.yaml"
+    file.write_text(calibration_text(after))
+    assert read_calibration(file).imu == after.imu  # as the robot keeps it over a restart
+    assert order_of_result(session("imu", at_rest(70.0))).imu is not None
+    again = ordered_calibration(after, order_of_result(session("imu", at_rest(70.0))))
+    assert again.imu is not None and again.imu.accelerometer == after.imu.accelerometer  # not measured, so kept
 
 
 def checked(repairs: list[str], T_body_cam: FloatArray) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from shared.calibration import ImuNoise
+from shared.calibration import AccelerometerCalibration, ImuNoise
 from shared.geometry import FloatArray
 from station.model.frames import ImuBatch
 from station.motion.imu_buffer import ON_WHEELS, ImuBuffer
@@ -46,6 +46,19 @@ def test_motion_is_no_noise() -> None:
 def test_what_alternates_between_samples_averages_out() -> None:
     buzz = np.where(np.arange(len(T_S)) % 2 == 0, 1.0, -1.0)[:, None] * np.ones(3)
     assert noise_scale(0.1 * buzz, buzz) == pytest.approx([1.0, 1.0], abs=1e-9)
+
+
+def test_readings_become_forces_and_those_at_the_range_are_still_seen_as_such() -> None:
+    known = AccelerometerCalibration(scale=(0.9, 1.0, 1.0), misalignment=(0.02, 0.0, 0.0))
+    buffer = ImuBuffer(msgspec.structs.replace(NOISE, accel_range=20.0, accelerometer=known))
+    t_ns = np.rint(T_S * 1e9).astype(np.int64)
+    accel = np.tile([20.0, 5.0, 9.0], (len(T_S), 1))
+    buffer.add(ImuBatch(t_ns, np.zeros((len(T_S), 3)), accel))
+    segment = buffer.segment(1_000_000_000, 1_100_000_000)
+    expected = [18.0 - 0.02 * 5.0, 5.0, 9.0]
+    assert segment.accel == pytest.approx(np.tile(expected, (len(segment.accel), 1)))
+    assert buffer.samples(1_000_000_000, 1_100_000_000).accel_imu[0] == pytest.approx(expected)
+    assert buffer.counts.saturated == len(T_S) and (segment.noise_scale >= 10.0).all()
 
 
 def test_a_gap_and_a_reading_at_the_range_are_counted_once_however_often_they_are_integrated() -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 
+import msgspec
 import numpy as np
 import pytest
 
+from shared.calibration import REFERENCE_IMU, AccelerometerCalibration, upper_triangular
 from shared.geometry import FloatArray
 from station.calibration.imu.calibrate import calibrate_imu
 from station.calibration.imu.report import calibration_json, calibration_lines
@@ -21,6 +23,7 @@ from station.calibration.imu.six_positions import (
     rest_forces,
 )
 from station.calibration.imu.still import find_stillness, on_even_grid
+from station.motion.imu_buffer import ImuBuffer
 from tests.support.inertial_noise import ACCEL, EDGES, FACES, TrueNoise, Turned, turned
 
 pytestmark = pytest.mark.computing
@@ -122,6 +125,8 @@ def test_what_is_printed_and_written_of_twelve_orientations() -> None:
     assert report["sigma"]["scale"] == found.accelerometer.sigma[SCALE].tolist()
     assert report["sigma"]["misalignment"] == found.accelerometer.sigma[ANGLES].tolist()
     lines = "\n".join(calibration_lines(found))
+    used = calibration_json(found)["used"]
+    assert (used["accel_scale"], used["accel_misalignment"]) == (report["scale"], report["misalignment"])
     assert "accelerometer scale" in lines and "accelerometer misalignment" in lines and "gyroscope     bias" in lines
 
 
@@ -133,6 +138,31 @@ def test_six_flat_sides_leave_the_misalignment_open() -> None:
     assert (np.abs(errors_over_sigma(found.accelerometer, unit)) < 3.0).all()
     assert report["misalignment"] is None and report["sigma"]["misalignment"] is None and len(report["scale"]) == 3
     assert "misalignment needs more orientations" in " ".join(found.notes)
+    assert found.used is not None and isinstance(found.used.accelerometer, AccelerometerCalibration)
+    assert found.used.accelerometer.misalignment == (0.0, 0.0, 0.0)  # what is not known is not told
+
+
+def test_with_what_it_is_told_the_estimation_feels_gravity_however_the_sensor_lies() -> None:
+    unit = turned(3, TWELVE)
+    found = calibrate_imu(unit.imu)
+    assert found.used is not None and found.accelerometer is not None
+    buffer = ImuBuffer(found.used, keep_s=1e6)
+    buffer.add(unit.imu)
+    T, bias = upper_triangular(unit.angles), unit.scale * unit.bias
+    for rest in found.stillness.rests:
+        begin_ns, end_ns = (
+            round(1e9 * found.samples.t_s[i]) + int(unit.imu.t_robot_ns[0]) for i in (rest.start, rest.stop - 1)
+        )
+        forces = buffer.samples(begin_ns, end_ns).accel_imu.mean(axis=0)
+        assert np.linalg.norm(forces - T @ bias) == pytest.approx(9.81, abs=5e-3)
+        assert buffer.segment(begin_ns, end_ns).accel.mean(axis=0) == pytest.approx(forces, abs=5e-3)
+
+
+def test_a_later_recording_on_one_side_keeps_the_errors_that_are_known() -> None:
+    known = AccelerometerCalibration(scale=(1.02, 0.99, 1.0))
+    told = msgspec.structs.replace(REFERENCE_IMU, accelerometer=known)
+    found = calibrate_imu(turned(0, FACES[2:3]).imu, told)
+    assert found.used is not None and found.used.accelerometer == known
     assert not any("misalignment" in line for line in calibration_lines(found) if not line.startswith("note"))
 
 
