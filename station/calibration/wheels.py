@@ -15,8 +15,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.signal import lfilter
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from shared.calibration import CameraCalibration
 from shared.errors import DataError
@@ -318,7 +317,7 @@ def fit_factor(pairs: list[tuple[float, float]], shared_sigma: float) -> Factor 
 
 def _sigma_of_mean(scatter: float, count: int) -> float:
     """Of a mean, from the scatter of few values: Student's quantile in place of three sigmas."""
-    few = student.ppf(PERCENT_3_SIGMA, count - 1) / 3.0
+    few = stdtrit(count - 1, PERCENT_3_SIGMA) / 3.0
     return float(few * scatter / np.sqrt(count))
 
 
@@ -339,7 +338,7 @@ def _fit_lag(
         lags.append(_lag_of_turn(commanded[part], yaw_rate[part], period_s))
     if len(lags) < LEAST_MOVES:
         return None, None
-    few = student.ppf(PERCENT_3_SIGMA, len(lags) - 1) / 3.0
+    few = stdtrit(len(lags) - 1, PERCENT_3_SIGMA) / 3.0
     return float(np.mean(lags)), float(few * np.std(lags, ddof=1) / np.sqrt(len(lags)))
 
 
@@ -356,6 +355,8 @@ def _lag_of_turn(commanded: FloatArray, measured: FloatArray, period_s: float) -
 
 def late(commanded: FloatArray, lag_s: float, period_s: float) -> FloatArray:
     """What two equal first-order lags, one after the other, make of commands (N,) held from sample to sample."""
+    from scipy.signal import lfilter  # brings all of scipy.stats: half a second that every start of workers is spared
+
     kept = np.exp(-period_s / lag_s)
     # Exact for a held input: state of both lags, x' = (u - x) / lag, y' = (x - y) / lag.
     k = kept * period_s / lag_s

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from shared.geometry import FloatArray
 
@@ -36,7 +36,7 @@ def allan_deviation(stretches: Sequence[FloatArray], rate_hz: float) -> AllanCur
     rows = [_at(integrals, int(m), rate_hz) for m in sizes]
     tau, variance, dof = np.array(rows).T
     tail = 0.025
-    low, high = (np.sqrt(variance * dof / chi2.ppf(p, dof)) for p in (1.0 - tail, tail))
+    low, high = (np.sqrt(variance * dof / chdtri(dof, p)) for p in (tail, 1.0 - tail))
     return AllanCurve(tau, np.sqrt(variance), low, high)
 
 

@@ -13,15 +13,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import brentq, nnls
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from shared.geometry import FloatArray
 from station.calibration.imu.spectrum import Spectrum
 
 CONFIDENCE = 0.95
-LIMIT = 0.5 * float(chi2.ppf(CONFIDENCE, 1))  # of the log-likelihood below its maximum
+LIMIT = 0.5 * float(chdtri(1, 1.0 - CONFIDENCE))  # of the log-likelihood below its maximum
 # Flicker that is not there would be found in one recording of a hundred, and would take from the random walk.
-FLICKER_LIMIT = 0.5 * float(chi2.ppf(0.99, 1))
+FLICKER_LIMIT = 0.5 * float(chdtri(1, 0.01))
 FLAT_SHARE = 2.0 * math.log(2.0) / math.pi  # of B^2: flicker's Allan variance, at every averaging time
 MAX_ROUNDS = 100
 SETTLED = 1e-9  # change of the log-likelihood that ends the rounds

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from shared.geometry import FloatArray
 from station.calibration.imu.allan import AllanCurve, allan_deviation
@@ -65,7 +65,7 @@ def _spectra(rests: Sequence[FloatArray], rate_hz: float, max_hz: float) -> list
 
 def _is_own(spectra: Sequence[Spectrum]) -> npt.NDArray[np.bool_]:
     """Which bands hold nothing but the sensor's noise, on all three axes. Where most of them do not, all stay."""
-    limit = chi2.isf(STRANGE, spectra[0].dof) / spectra[0].dof
+    limit = chdtri(spectra[0].dof, STRANGE) / spectra[0].dof
     keep = np.ones(len(spectra[0]), dtype=np.bool_)
     for _ in range(MAX_ROUNDS):
         excess = np.max([_ratio(spectrum, keep) for spectrum in spectra], axis=0) / limit

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
-from sklearn.cluster import DBSCAN
 
 from shared.geometry import FloatArray, IntArray
 from station.model.navigation import Navigation
@@ -103,6 +102,8 @@ def cluster_thesis(
         p = p_world[finite]
         if normalise:
             p, _, _ = centre_and_normalise(p)
+        from sklearn.cluster import DBSCAN  # a second of imports that every other mode and every worker is spared
+
         dbscan = DBSCAN(eps=config.eps, min_samples=config.min_pts)
         if len(p) > voxelise_above:
             cells = voxelise(p, smallest=THESIS_CELL_SHARE * config.eps, max_cells=voxelise_above)

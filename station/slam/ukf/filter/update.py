@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from shared.geometry import FloatArray
 from station.motion.error_coordinates import ErrorKind
@@ -25,7 +25,7 @@ class Gate:
     """Chi-square thresholds for one probability."""
 
     def __init__(self, probability: float) -> None:
-        self._limit = chi2.ppf(probability, np.arange(1, MAX_DOF + 1))
+        self._limit = chdtri(np.arange(1, MAX_DOF + 1), 1.0 - probability)
 
     def limit(self, dof: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> FloatArray:
         return self._limit[np.clip(dof, 1, MAX_DOF) - 1]
