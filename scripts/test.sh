@@ -7,6 +7,10 @@ scripts/apt-need.sh "browser tests" chromium fonts-dejavu-core
 scripts/apt-need.sh "database tests" postgresql
 scripts/open3d-need.sh
 [ -x firmware/install-deps.sh ] && firmware/install-deps.sh
+# Several processes share few cores: a second thread of linear algebra in each of them spins for a core that it does not
+# get, which doubled the CPU time of structure from motion. And sources are compiled once, not by every program anew.
+export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+unset PYTHONDONTWRITEBYTECODE
 $bin/ruff format --check --quiet .
 $bin/ruff check --quiet .
 $bin/bandit -q -c pyproject.toml -r robot station shared
