@@ -32,12 +32,7 @@ demo: $(VENV)/.run
 	@$(BIN)/station demo $(if $(ONCE),--once) --seed $(SEED) --port $(PORT)
 
 lint: $(VENV)/.dev
-	@$(BIN)/ruff format --check .
-	@$(BIN)/ruff check .
-	@$(BIN)/bandit -q -c pyproject.toml -r robot station shared
-	@$(BIN)/mypy
-	@$(BIN)/lint-imports --no-cache
-	@$(BIN)/python station/web/build_hook.py --check
+	@scripts/lint.sh
 
 audit: $(VENV)/.dev
 	@ADVISORIES=$(ADVISORIES) scripts/audit.sh

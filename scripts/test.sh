@@ -11,25 +11,30 @@ scripts/open3d-need.sh
 # get, which doubled the CPU time of structure from motion. And sources are compiled once, not by every program anew.
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 unset PYTHONDONTWRITEBYTECODE
-$bin/ruff format --check --quiet .
-$bin/ruff check --quiet .
-$bin/bandit -q -c pyproject.toml -r robot station shared
-$bin/mypy
-$bin/lint-imports --no-cache
-# Exit code 2: no Node, or npm reaches no registry. Whoever knows that sets NO_NODE=1; else the page would go unchecked.
-checked=0
-$bin/python station/web/build_hook.py --check || checked=$?
-if [ $checked -eq 2 ] && [ -z "${NO_NODE:-}" ]; then echo "Where there is no Node, set NO_NODE=1" >&2; fi
-if [ $checked -ne 0 ] && ! { [ $checked -eq 2 ] && [ -n "${NO_NODE:-}" ]; }; then exit $checked; fi
-if [ $# -gt 0 ]; then exec $bin/pytest -m "not hardware" "$@"; fi
-# Tests that only compute take the time in which those with sockets, programs and browsers wait; what they say comes last.
-# The whole system of tests/e2e runs at the end, when it has the machine for itself.
-computing=$(mktemp)
-nice $bin/pytest -m "not hardware and computing" -p no:cacheprovider --durations=15 tests >"$computing" 2>&1 &
-beside=$!
-trap 'kill $beside 2>/dev/null || true; rm -f "$computing"' EXIT
+if [ $# -gt 0 ]; then
+  scripts/lint.sh
+  exec $bin/pytest -m "not hardware" "$@"
+fi
+
+# Four processes side by side, so that one computes while another waits. Whole robots go by the clock, and are judged by
+# how often they know their place in time: all else gives way to them, and what only computes to all. What those in the
+# background say comes when the one that is seen has ended.
+run=($bin/pytest --durations=15)
+said=$(mktemp -d)
+pids=()
+trap 'kill "${pids[@]}" 2>/dev/null || true; rm -rf "$said"' EXIT
+beside() {
+  "$@" -p no:cacheprovider >"$said/${#pids[@]}" 2>&1 &
+  pids+=($!)
+}
+beside "${run[@]}" -m "not hardware and not computing and slow" tests/integration tests/e2e
+beside nice -n 19 "${run[@]}" -m "not hardware and computing" tests/golden tests/property tests/integration tests/e2e
+# One after the other: both would install what checks the page.
+beside nice -n 19 bash -c 'scripts/lint.sh && exec "$@"' lint "${run[@]}" -m "not hardware and computing" tests/unit
 failed=0
-$bin/pytest -m "not hardware and not computing" --durations=15 tests/integration tests/e2e || failed=$?
-wait $beside || failed=$?
-cat "$computing"
+nice "${run[@]}" -m "not hardware and not computing and not slow" tests/integration tests/e2e || failed=$?
+for i in "${!pids[@]}"; do
+  wait "${pids[i]}" || failed=$?
+  cat "$said/$i"
+done
 exit $failed

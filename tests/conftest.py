@@ -16,7 +16,7 @@ settings.load_profile("sentinel")
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what `scripts/test.sh` runs beside the rest, before tests are chosen by their marks."""
+    """Mark what `scripts/test.sh` lets give way to the rest, before tests are chosen by their marks."""
     for item in items:
         if item.path.relative_to(Path(__file__).parent).parts[0] in COMPUTING:
             item.add_marker(pytest.mark.computing)

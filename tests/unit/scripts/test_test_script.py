@@ -12,48 +12,74 @@ from tests.support.paths import ROOT
 
 STAND_IN = """#!/bin/bash
 echo "$(basename "$0") $*"
-if [ "$(basename "$0")" = pytest ]; then case "$*" in *"$FAILING"*) exit 1 ;; esac; fi
+case "$(basename "$0") $*" in *"$FAILING"*) exit "$STATUS" ;; esac
 """
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """The script in a folder where every tool only says how it was called; pytest fails when it is given FAILING."""
+    """The script in a folder where every tool only says how it was called, and what is called with FAILING fails."""
     tools = [f".venv/bin/{name}" for name in ("ruff", "bandit", "mypy", "lint-imports", "python", "pytest")]
     for name in (*tools, "scripts/apt-need.sh", "scripts/open3d-need.sh", "firmware/install-deps.sh"):
         tool = tmp_path / name
         tool.parent.mkdir(parents=True, exist_ok=True)
         tool.write_text(STAND_IN)
         tool.chmod(0o755)
-    shutil.copy(ROOT / "scripts" / "test.sh", tmp_path / "scripts")
+    for name in ("test.sh", "lint.sh"):
+        shutil.copy(ROOT / "scripts" / name, tmp_path / "scripts")
     return tmp_path
 
 
-def run(folder: Path, *arguments: str, failing: str = "nothing") -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {"FAILING": failing, "TMPDIR": str(folder)}
+def run(
+    folder: Path, *arguments: str, failing: str = "nothing", status: int = 1, no_node: str = ""
+) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {
+        "FAILING": failing, "STATUS": str(status), "NO_NODE": no_node, "TMPDIR": str(folder),
+    }  # fmt: skip
     return subprocess.run(
         [folder / "scripts" / "test.sh", *arguments],
         env=environment, capture_output=True, text=True, check=False, timeout=60,
     )  # fmt: skip
 
 
-def test_every_test_is_in_one_half(folder: Path) -> None:
+def test_every_test_is_in_one_of_four_processes(folder: Path) -> None:
     result = run(folder)
     assert result.returncode == 0, result.stderr
     assert [line for line in result.stdout.splitlines() if line.startswith("pytest")] == [
-        "pytest -m not hardware and not computing --durations=15 tests/integration tests/e2e",
-        "pytest -m not hardware and computing -p no:cacheprovider --durations=15 tests",
+        "pytest --durations=15 -m not hardware and not computing and not slow tests/integration tests/e2e",
+        "pytest --durations=15 -m not hardware and not computing and slow tests/integration tests/e2e"
+        " -p no:cacheprovider",
+        "pytest --durations=15 -m not hardware and computing tests/golden tests/property tests/integration tests/e2e"
+        " -p no:cacheprovider",
+        "pytest --durations=15 -m not hardware and computing tests/unit -p no:cacheprovider",
     ]
     folders = {path.relative_to(ROOT / "tests").parts[0] for path in (ROOT / "tests").glob("*/**/test_*.py")}
-    assert folders == {"integration", "e2e", *COMPUTING}
+    assert folders == {"integration", "e2e", *COMPUTING} and {"golden", "property", "unit"} == COMPUTING
     assert not list(folder.glob("tmp.*"))
 
 
-@pytest.mark.parametrize("failing", ["and computing", "tests/e2e"])
-def test_a_failure_in_either_half_fails_the_whole_and_both_are_shown(folder: Path, failing: str) -> None:
+@pytest.mark.parametrize("failing", ["and not slow", "computing and slow", "tests/golden", "tests/unit"])
+def test_a_failure_in_any_of_them_fails_the_whole_and_all_are_shown(folder: Path, failing: str) -> None:
     result = run(folder, failing=failing)
     assert result.returncode == 1
-    assert [line.split()[0] for line in result.stdout.splitlines()].count("pytest") == 2
+    assert [line.split()[0] for line in result.stdout.splitlines()].count("pytest") == 4
+
+
+LINT = ("ruff format", "ruff check", "bandit", "mypy", "lint-imports", "python station/web/build_hook.py --check")
+
+
+@pytest.mark.parametrize("failing", LINT)
+def test_whatever_lint_finds_fails_the_whole_and_is_shown(folder: Path, failing: str) -> None:
+    result = run(folder, failing=failing)
+    assert result.returncode == 1
+    assert any(line.startswith(failing) for line in result.stdout.splitlines())
+
+
+def test_the_page_may_go_unchecked_only_where_it_is_said_that_there_is_no_node(folder: Path) -> None:
+    refused = run(folder, failing=LINT[-1], status=2)
+    assert refused.returncode == 2 and "set NO_NODE=1" in refused.stdout
+    assert run(folder, failing=LINT[-1], status=2, no_node="1").returncode == 0
+    assert run(folder, failing=LINT[-1], status=1, no_node="1").returncode == 1
 
 
 def test_with_arguments_only_those_tests_are_run(folder: Path) -> None:
