@@ -343,19 +343,26 @@ class ChessboardFinder:
 
 
 class CharucoFinder:
-    """ChArUco boards: a chessboard whose white squares say where on it they are."""
+    """ChArUco boards: a chessboard whose white squares say where on it they are. Both ways to print it are tried."""
 
     def __init__(self, target: Target) -> None:
         self.target = target
         parameters = cv2.aruco.CharucoParameters()
         parameters.minMarkers = 1  # beside a corner: the other one is often beyond the image
-        self._detector = cv2.aruco.CharucoDetector(charuco_board(target), parameters)
+        are_two = (target.rows + 1) % 2 == 0
+        boards = [charuco_board(target, is_legacy) for is_legacy in ((False, True) if are_two else (False,))]
+        self._detectors = [cv2.aruco.CharucoDetector(board, parameters) for board in boards]
 
     def find(self, grey: ImageArray) -> Board | None:
         small, scale = smaller(grey)
-        corners, ids, _, _ = self._detector.detectBoard(small)
-        if ids is None or len(ids) < LEAST_CORNERS:
-            return None
+        for detector in self._detectors:
+            corners, ids, _, _ = detector.detectBoard(small)
+            if ids is not None and len(ids) >= LEAST_CORNERS:
+                self._detectors.sort(key=lambda other: other is not detector)  # the next image will show it, too
+                return self._refined(grey, scale, corners, ids)
+        return None
+
+    def _refined(self, grey: ImageArray, scale: float, corners: Any, ids: Any) -> Board:
         at = (np.asarray(corners, dtype=np.float64).reshape(-1, 2) + 0.5) * scale - 0.5
         ids = np.asarray(ids, dtype=np.int64).ravel()
         spacing = _spacing_of_ids(at, ids, self.target)
@@ -434,7 +441,7 @@ def _are_white(squares: FloatArray) -> BoolArray:
 
 
 def _alternate(squares: FloatArray) -> bool:
-    """Whether nearly every pair of neighbours is one square all white and one all black; not so where a row is left out."""
+    """Whether neighbours are one square all white and one all black, nearly everywhere: not where a row is left out."""
     is_white, darkest, brightest = _are_white(squares), squares.min(axis=2), squares.max(axis=2)
     pairs = ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]))
     is_right = [np.where(is_white[a], darkest[a] > brightest[b], darkest[b] > brightest[a]).ravel() for a, b in pairs]
