@@ -35,7 +35,7 @@ class Views:
     size: tuple[int, int]  # width and height of the images, px
     rejected: tuple[Rejected, ...]
     looked_at: int
-    missed: tuple[ImageArray, ...]  # some of the images in which no board was found
+    missed: tuple[ImageArray, ...]  # some of the images in which no whole board was found
 
 
 def find_views(target: Target, data: Dataset, advance: Callable[[], None] = lambda: None) -> Views:
@@ -79,9 +79,10 @@ class _Found:
         view = view_board(finder, target, grey, name, frame.t_robot_ns)
         if view is not None:
             self._views.append((view, size))
-            return
-        self._rejected.append(Rejected(name, "no board", NO_BOARD))
-        if len(self._missed) < EXAMPLES:
+        else:
+            self._rejected.append(Rejected(name, "no board", NO_BOARD))
+        is_whole = view is not None and view.ids_are_sure  # a part alone may be of another board
+        if not is_whole and len(self._missed) < EXAMPLES:
             self._missed.append(grey)
 
     def views(self) -> Views:
