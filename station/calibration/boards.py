@@ -21,6 +21,7 @@ LEAST_CONTRAST = 12.0  # grey levels between black and white of a corner
 MODULES = APRIL_BITS + 2 * APRIL_BORDER_BITS
 SMOOTH_PX = 0.7  # off the smooth surface through its neighbours, from which on a corner is a wrong one
 OUTLIER = 5.0  # of the median error
+ALTERNATING = 0.95  # of the pairs of neighbouring squares; a row that is left out of 9 x 6 spoils a sixth
 LIKENESS = 0.6  # correlation of a tag's modules with what is printed, from which on it is that tag
 
 
@@ -298,7 +299,7 @@ class ChessboardFinder:
     def find(self, grey: ImageArray) -> Board | None:
         small, scale = smaller(grey)
         whole = self._find_whole(small)
-        grid = self._find_part(small) if whole is None else self._upright(small, whole)
+        grid = self._find_part(small) if whole is None else whole
         if grid is None:
             return None
         spacing = scale * _spacing(grid)
@@ -311,15 +312,21 @@ class ChessboardFinder:
         return Board((row * self.target.columns + column)[stays], refined[stays], ids_are_sure=whole is not None)
 
     def _find_whole(self, grey: ImageArray) -> FloatArray | None:
-        """All corners (rows, columns, 2)."""
-        size = (self.target.columns, self.target.rows)
-        found, corners = cv2.findChessboardCornersSB(grey, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-        if not found:  # it wants a wide white border, which the older search does without
-            flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
-            found, corners = cv2.findChessboardCorners(grey, size, flags=flags)
-        if not found:
-            return None
-        return np.asarray(corners, dtype=np.float64).reshape(self.target.rows, self.target.columns, 2)
+        """All corners (rows, columns, 2), the first one's inner square black."""
+        size, normalized = (self.target.columns, self.target.rows), cv2.CALIB_CB_NORMALIZE_IMAGE
+        # Without a white border and through a fisheye only the older search finds boards, blurred ones only the newer.
+        # Its FAST_CHECK stays off: it passes over boards that are far off or tilted by more than 60 degrees.
+        for search, flags in (
+            (cv2.findChessboardCorners, normalized | cv2.CALIB_CB_ADAPTIVE_THRESH),
+            (cv2.findChessboardCornersSB, normalized),
+        ):
+            found, corners = search(grey, size, flags=flags)
+            if found:
+                grid = np.asarray(corners, dtype=np.float64).reshape(*size[::-1], 2)
+                squares = _squares(grey, grid)
+                if _alternate(squares):
+                    return grid[::-1, ::-1] if _are_white(squares)[0, 0] else grid
+        return None
 
     def _find_part(self, grey: ImageArray) -> FloatArray | None:
         """Corners (rows, columns, 2) of a part of the board; None where what is seen is no part of it."""
@@ -332,32 +339,30 @@ class ChessboardFinder:
         if rows > self.target.rows or columns > self.target.columns:
             grid = np.rot90(grid)  # a quarter turn, which unlike a transposition is no mirror image
         fits = grid.shape[0] <= self.target.rows and grid.shape[1] <= self.target.columns
-        return grid if fits else None
-
-    def _upright(self, grey: ImageArray, grid: FloatArray) -> FloatArray:
-        """The grid (rows, columns, 2), turned half round if its first inner square is white."""
-        inner = (grid[:-1, :-1] + grid[1:, 1:] + grid[:-1, 1:] + grid[1:, :-1]) / 4
-        levels = sample(grey, inner)
-        row, column = np.indices(levels.shape)
-        is_like_first = (row + column) % 2 == 0
-        is_black = levels[is_like_first].mean() < levels[~is_like_first].mean()
-        return grid if is_black else grid[::-1, ::-1]
+        return grid if fits and _alternate(_squares(grey, grid)) else None  # OpenCV may pass over a row
 
 
 class CharucoFinder:
-    """ChArUco boards: a chessboard whose white squares say where on it they are."""
+    """ChArUco boards: a chessboard whose white squares say where on it they are. Both ways to print it are tried."""
 
     def __init__(self, target: Target) -> None:
         self.target = target
         parameters = cv2.aruco.CharucoParameters()
         parameters.minMarkers = 1  # beside a corner: the other one is often beyond the image
-        self._detector = cv2.aruco.CharucoDetector(charuco_board(target), parameters)
+        are_two = (target.rows + 1) % 2 == 0
+        boards = [charuco_board(target, is_legacy) for is_legacy in ((False, True) if are_two else (False,))]
+        self._detectors = [cv2.aruco.CharucoDetector(board, parameters) for board in boards]
 
     def find(self, grey: ImageArray) -> Board | None:
         small, scale = smaller(grey)
-        corners, ids, _, _ = self._detector.detectBoard(small)
-        if ids is None or len(ids) < LEAST_CORNERS:
-            return None
+        for detector in self._detectors:
+            corners, ids, _, _ = detector.detectBoard(small)
+            if ids is not None and len(ids) >= LEAST_CORNERS:
+                self._detectors.sort(key=lambda other: other is not detector)  # the next image will show it, too
+                return self._refined(grey, scale, corners, ids)
+        return None
+
+    def _refined(self, grey: ImageArray, scale: float, corners: Any, ids: Any) -> Board:
         at = (np.asarray(corners, dtype=np.float64).reshape(-1, 2) + 0.5) * scale - 0.5
         ids = np.asarray(ids, dtype=np.int64).ravel()
         spacing = _spacing_of_ids(at, ids, self.target)
@@ -413,6 +418,34 @@ def _is_saddle(grey: ImageArray, tags_px: FloatArray) -> BoolArray:
     seen = np.stack([sample(grey, cv2.perspectiveTransform(places, _square_to(tag))[0]) for tag in tags_px])
     dark, bright = seen[:, :8].reshape(-1, 2, 4).max(axis=1), seen[:, 8:].reshape(-1, 2, 4).min(axis=1)
     return np.asarray(bright - dark > LEAST_CONTRAST)
+
+
+def _squares(grey: ImageArray, grid: FloatArray) -> FloatArray:
+    """Grey levels (rows - 1, columns - 1, 4) in the quarters of the squares between corners (rows, columns, 2)."""
+    first, fourth = np.linspace(0.17, 0.33, 3), np.linspace(0.67, 0.83, 3)  # of the square's side
+    quarters = []
+    for down in (first, fourth):
+        for across in (first, fourth):
+            v, u = (part[:, :, None, None, None] for part in np.meshgrid(down, across, indexing="ij"))
+            upper = (1 - u) * grid[:-1, :-1] + u * grid[:-1, 1:]
+            lower = (1 - u) * grid[1:, :-1] + u * grid[1:, 1:]
+            quarters.append(sample(grey, (1 - v) * upper + v * lower).mean(axis=(0, 1)))
+    return np.stack(quarters, axis=-1)
+
+
+def _are_white(squares: FloatArray) -> BoolArray:
+    """Which squares (rows, columns) of a chessboard are the white ones, by the levels (rows, columns, 4) of all."""
+    is_like_first = np.indices(squares.shape[:2]).sum(axis=0) % 2 == 0
+    first_is_white = squares[is_like_first].mean() > squares[~is_like_first].mean()
+    return np.asarray(is_like_first == first_is_white)
+
+
+def _alternate(squares: FloatArray) -> bool:
+    """Whether neighbours are one square all white and one all black, nearly everywhere: not where a row is left out."""
+    is_white, darkest, brightest = _are_white(squares), squares.min(axis=2), squares.max(axis=2)
+    pairs = ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]))
+    is_right = [np.where(is_white[a], darkest[a] > brightest[b], darkest[b] > brightest[a]).ravel() for a, b in pairs]
+    return bool(np.concatenate(is_right).mean() > ALTERNATING)
 
 
 def _spacing(grid: FloatArray) -> float:

@@ -59,6 +59,7 @@ class Shape:
 
     bend: float  # how far it is from flat, over its length
     gap_ratio: float  # the gap between an AprilGrid's tags over what its file says
+    moves: FloatArray  # (k,) by how much the camera's numbers change when the board may have this shape
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,9 +71,17 @@ class CameraFit:
     views: tuple[BoardView, ...]  # those it was fitted to
     corners: Corners
     fit: Fit
-    sigma: FloatArray  # of fit.numbers
+    scatter: FloatArray  # of fit.numbers, one standard deviation: what the images alone say
     trials: tuple[LensTrial, ...]
     shape: Shape
+
+    @property
+    def sigma(self) -> FloatArray:
+        """One standard deviation of fit.numbers.
+
+        A board that is bent by less than is refused bends every image alike: no image that is left out shows it.
+        """
+        return np.hypot(self.scatter, self.shape.moves)
 
     @property
     def rms_px(self) -> float:
@@ -129,8 +138,8 @@ def calibrate_camera(
         fit, corners, views, disagreeing = _agreeing(target, different, chosen, size)  # another lens, others disagree
     advance("judging")
     shape = board_shape(target, views, fit)
-    sigma = np.sqrt(np.diag(covariance(corners, fit)))
-    return CameraFit(target, size, views, corners, fit, sigma, tuple(trials), shape), rejected + disagreeing
+    scatter = np.sqrt(np.diag(covariance(corners, fit)))
+    return CameraFit(target, size, views, corners, fit, scatter, tuple(trials), shape), rejected + disagreeing
 
 
 def most_read_lens(trials: Sequence[LensTrial]) -> LensName:
@@ -222,11 +231,12 @@ def board_shape(target: Target, views: Sequence[BoardView], fit: Fit) -> Shape:
     shapes = np.stack([*bends, gaps] if target.kind == "aprilgrid" else bends, axis=2)
     corners = stack_views(target, views, shapes)
     start = replace(fit, numbers=np.append(fit.numbers, np.zeros(shapes.shape[2])))
-    numbers = refit(corners, start).numbers[len(fit.numbers) :]
+    freed = refit(corners, start).numbers
+    moves, numbers = freed[: len(fit.numbers)] - fit.numbers, freed[len(fit.numbers) :]
     height = np.stack([x * x, x * y, y * y], axis=1) @ numbers[:3]
     plane = np.stack([x, y, np.ones_like(x)], axis=1)
     bent = height - plane @ np.linalg.lstsq(plane, height, rcond=None)[0]
-    return Shape(float(np.ptp(bent)), 1.0 + float(numbers[3]) if target.kind == "aprilgrid" else 1.0)
+    return Shape(float(np.ptp(bent)), 1.0 + float(numbers[3]) if target.kind == "aprilgrid" else 1.0, moves)
 
 
 def _agreeing(

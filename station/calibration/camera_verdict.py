@@ -10,7 +10,8 @@ from shared.geometry import FloatArray
 from station.calibration.camera import GRID, CameraFit, best_lens, covered_cells
 from station.calibration.distortion import ROBOT_LENSES
 
-MAX_FOCAL_SIGMA = 0.01  # of the focal length: 3 % spoil a map, and that is three sigmas
+MAX_FOCAL_ERROR = 0.03  # of the focal length, from which on it spoils a map
+MAX_FOCAL_SIGMA = MAX_FOCAL_ERROR / 3.0
 MAX_CENTRE_SIGMA = 0.015  # of the image's width
 LEAST_COVERAGE = 0.35
 LEAST_TILT_DEG = 12.0  # of the most tilted fifth of the views
@@ -32,7 +33,8 @@ def reasons_against(found: CameraFit) -> list[str]:
 def _board(found: CameraFit) -> Iterator[str]:
     """A board that is not as its file says spoils everything else."""
     length_mm = 1e3 * float(np.linalg.norm(np.ptp(found.target.corners, axis=0)))
-    if found.shape.bend > MAX_BEND:
+    moves_focal = np.abs(found.shape.moves[:2] / found.fit.numbers[:2]).max()
+    if found.shape.bend > MAX_BEND or moves_focal > MAX_FOCAL_ERROR:
         yield (
             f"the board is bent, by {found.shape.bend * length_mm:.1f} mm over {length_mm:.0f} mm; "
             "glue it to something flat and take the images again"
@@ -81,8 +83,8 @@ def _where_not(cells: FloatArray) -> str:
 
 def _model(found: CameraFit) -> Iterator[str]:
     fit, (width, _) = found.fit, found.size
-    focal_sigma = float(np.max(found.sigma[:2] / fit.numbers[:2]))
-    centre_sigma = float(np.max(found.sigma[2:4]))
+    focal_sigma = float(np.max(found.scatter[:2] / fit.numbers[:2]))
+    centre_sigma = float(np.max(found.scatter[2:4]))
     if found.rms_px > MAX_RMS * max(width, 640) or 1.0 - fit.is_inlier.mean() > MAX_LEFT_OUT:
         best = best_lens(found.trials)
         remedy = (
@@ -96,7 +98,7 @@ def _model(found: CameraFit) -> Iterator[str]:
         )
     unsure = [
         name
-        for name, value, sigma in zip(found.names, fit.numbers, found.sigma, strict=True)
+        for name, value, sigma in zip(found.names, fit.numbers, found.scatter, strict=True)
         if name in HIGHER_NAMES and fit.lens not in ROBOT_LENSES and not sigma < abs(value)
     ]
     if unsure:

@@ -13,6 +13,7 @@ import numpy as np
 from shared.errors import DataError
 from station.calibration.boards import AprilGridFinder, Finder, make_finder, view_board
 from station.calibration.camera import Rejected
+from station.calibration.dictionaries import charuco_markers
 from station.calibration.target import BoardView, Target
 from station.datasets import Dataset
 from station.model.frames import ImageArray, ImageFrame
@@ -34,7 +35,7 @@ class Views:
     size: tuple[int, int]  # width and height of the images, px
     rejected: tuple[Rejected, ...]
     looked_at: int
-    missed: tuple[ImageArray, ...]  # some of the images in which no board was found
+    missed: tuple[ImageArray, ...]  # some of the images in which no whole board was found
 
 
 def find_views(target: Target, data: Dataset, advance: Callable[[], None] = lambda: None) -> Views:
@@ -78,9 +79,10 @@ class _Found:
         view = view_board(finder, target, grey, name, frame.t_robot_ns)
         if view is not None:
             self._views.append((view, size))
-            return
-        self._rejected.append(Rejected(name, "no board", NO_BOARD))
-        if len(self._missed) < EXAMPLES:
+        else:
+            self._rejected.append(Rejected(name, "no board", NO_BOARD))
+        is_whole = view is not None and view.ids_are_sure  # a part alone may be of another board
+        if not is_whole and len(self._missed) < EXAMPLES:
             self._missed.append(grey)
 
     def views(self) -> Views:
@@ -140,13 +142,19 @@ def _why_missed(target: Target, seen: Views) -> str:
         return "the images are out of focus; turn the focus ring until the board is sharp"
     if target.kind != "chessboard" and any(_is_mirrored(target, image) for image in seen.missed):
         return "they are mirrored, as a selfie camera's; switch mirroring off (one hflip or vflip alone mirrors, too)"
-    for image in seen.missed:
-        other = _other_target(target, image)
-        if other:
-            return f"they show {other}, target.yaml describes {_name(target)}; give the file of the board that was used"
-    return (
+    return other_board(target, seen) or (
         f"{_name(target)} is not found; see that target.yaml describes the board (of a chessboard it counts inner "
         "corners), bring it nearer, and light it evenly"
+    )
+
+
+def other_board(target: Target, seen: Views) -> str:
+    """What the images in which the target was not found show instead, if that is most of all; empty where nothing."""
+    if 2 * sum(item.cause == "no board" for item in seen.rejected) <= seen.looked_at:
+        return ""
+    other = next(filter(None, (_other_target(target, image) for image in seen.missed)), "")
+    return other and (
+        f"they show {other}, target.yaml describes {_name(target)}; give the file of the board that was used"
     )
 
 
@@ -176,20 +184,28 @@ def _other_target(target: Target, image: ImageArray) -> str:
         grid = AprilGridFinder(Target("aprilgrid", 20, 20, 0.03, gap_m=0.009))
         if len(grid.find_tags(image)) >= 4:
             return "an AprilGrid"
+    markers = charuco_markers(image)
+    if markers and markers != target.dictionary.rpartition("_")[0]:
+        return f"markers of {markers}"
     for columns, rows in _other_sizes(target):
         other = replace(target, kind="chessboard", columns=columns, rows=rows)
-        if make_finder(other).find(image) is not None:
-            return f"a chessboard of {columns} x {rows} inner corners"
+        board = make_finder(other).find(image)
+        if board is not None and board.ids_are_sure:
+            are_squares = (columns + 1, rows + 1) == (target.columns, target.rows)
+            squares = " (the file has to count those, not the squares)" if are_squares else ""
+            return f"a chessboard of {columns} x {rows} inner corners{squares}"
     return ""
 
 
 def _other_sizes(target: Target) -> list[tuple[int, int]]:
     """Sizes of chessboards that are confused with this target's, and usual ones."""
     c, r = target.columns, target.rows
-    near = [] if target.kind == "aprilgrid" else [(c - 1, r - 1), (c + 1, r + 1), (c - 1, r), (c, r - 1)]
+    near = [(c - 1, r - 1), (c + 1, r + 1), (c - 1, r), (c, r - 1), (c + 1, r), (c, r + 1)]
+    near = [] if target.kind == "aprilgrid" else near
     usual = [(9, 6), (8, 6), (7, 6), (8, 5), (7, 5), (11, 8), (10, 7), (7, 7), (8, 8), (9, 7), (7, 4), (5, 4)]
     same = {(c, r), (r, c)} if target.kind == "chessboard" else set()
-    return [size for size in dict.fromkeys(near + usual) if min(size) >= 3 and size not in same]
+    sizes = [size for size in dict.fromkeys(near + usual) if min(size) >= 3 and size not in same]
+    return sorted(sizes, key=lambda size: -size[0] * size[1])  # a part of a board may look like a smaller one
 
 
 def _name(target: Target) -> str:

@@ -38,6 +38,15 @@ def printed_page(target: Target, size: PageSize = "A4") -> Page:
     return Page(image, _board_on_page(target, size, len(image)))
 
 
+def trimmed(page: Page, target: Target) -> Page:
+    """The page of a chessboard with its white border cut off."""
+    outer = np.array([[-1, -1], [target.columns, target.rows]]) * target.square_m
+    (left, top), (right, bottom) = np.rint(cv2.perspectiveTransform(outer[None], page.H_page_board)[0]).astype(int)
+    image = np.full_like(page.image, WALL)
+    image[top:bottom, left:right] = page.image[top:bottom, left:right]
+    return Page(image, page.H_page_board)
+
+
 def _board_on_page(target: Target, size: PageSize, height_px: int) -> FloatArray:
     """Independent of how the page is drawn, but for the margins: the board stands in the middle over the ruler."""
     width_mm, height_mm = PAGE_MM[size]
@@ -59,6 +68,7 @@ def photograph(
     blur_px: float = 0.7,
     noise: float = 2.0,
     seed: int = 0,
+    wall: int = WALL,
 ) -> Image:
     """The page on a grey wall through the camera's lens."""
     v, u = np.mgrid[: 2 * camera.height, : 2 * camera.width]  # two samples a pixel in each direction
@@ -69,8 +79,8 @@ def photograph(
     at = np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=2) @ H.T
     xy = (at[..., :2] / at[..., 2:]).astype(np.float32)
     fine = cv2.GaussianBlur(page.image, (0, 0), 0.8)
-    seen = cv2.remap(fine, xy, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=WALL)
-    seen[at[..., 2] * np.sign(at[camera.height, camera.width, 2]) <= 0] = WALL
+    seen = cv2.remap(fine, xy, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=wall)
+    seen[at[..., 2] * np.sign(at[camera.height, camera.width, 2]) <= 0] = wall
     small = cv2.resize(seen, (camera.width, camera.height), interpolation=cv2.INTER_AREA).astype(np.float64)
     blurred = cv2.GaussianBlur(small, (0, 0), blur_px) if blur_px > 0 else small
     dim = 20.0 + 0.8 * blurred + np.random.default_rng(seed).normal(0.0, noise, blurred.shape)

@@ -25,7 +25,7 @@ from station.calibration.camera_page import write_camera_page
 from station.calibration.camera_verdict import reasons_against
 from station.calibration.distortion import ROBOT_LENSES, LensName
 from station.calibration.target_file import read_target
-from station.calibration.views import Views, find_views, why_few
+from station.calibration.views import Views, find_views, other_board, why_few
 from station.commands.options import Json, check_out_file
 from station.commands.progress import working
 from station.datasets import open_dataset
@@ -71,6 +71,8 @@ def camera(
             reasons = [why_few(board, seen, seen.looked_at - len(rejected), LEAST_VIEWS, rejected)]
         else:
             reasons = reasons_against(found)
+            if reasons and (other := other_board(board, seen)):
+                reasons = [other]
             write(found, not reasons, out, kalibr, plots)
     if as_json:
         print(json.dumps(report(found, seen, rejected, reasons)))

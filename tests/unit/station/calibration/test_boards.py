@@ -16,7 +16,7 @@ from station.calibration.target_file import read_target
 from station.calibration.target_page import page_target
 from station.vision.lens import Lens
 from tests.support.paths import RECORDINGS
-from tests.support.target_images import T_cam_board, photograph, printed_page
+from tests.support.target_images import T_cam_board, photograph, printed_page, trimmed
 
 CAMERA = CameraCalibration(
     width=752, height=480, fx=460.0, fy=458.0, cx=367.0, cy=248.0, distortion=(-0.28, 0.07, 2e-4, 0.0)
@@ -24,9 +24,13 @@ CAMERA = CameraCalibration(
 KINDS: tuple[TargetKind, ...] = ("aprilgrid", "charuco", "chessboard")
 
 
-def true_corners(target: Target, T: FloatArray) -> FloatArray:
+TELE = CameraCalibration(width=640, height=480, fx=600.0, fy=600.0, cx=322.0, cy=238.0, distortion=(0.05, 0, 0, 0))
+WIDE = CameraCalibration(width=640, height=480, fx=310.0, fy=310.0, cx=322.0, cy=238.0, distortion=(-0.31, 0.09, 0, 0))
+
+
+def true_corners(target: Target, T: FloatArray, camera: CameraCalibration = CAMERA) -> FloatArray:
     p_cam = target.corners @ T[:3, :3].T + T[:3, 3]
-    return Lens(CAMERA).project(p_cam[:, :2] / p_cam[:, 2:])
+    return Lens(camera).project(p_cam[:, :2] / p_cam[:, 2:])
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -62,6 +66,41 @@ def test_of_a_chessboard_at_the_images_edge_a_part_is_found_whose_place_is_not_s
     found = np.linalg.norm(view.corners_px[:, None] - truth, axis=2).argmin(axis=1)
     steps = np.diff(np.stack(np.divmod(found, target.columns)), axis=1)[:, np.diff(view.ids) == 1]
     assert (np.abs(steps).sum(axis=0) == 1).all()
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_bright_chessboard_before_a_dark_room_is_found_though_it_is_tilted_far(axis: int) -> None:
+    target = page_target("chessboard", "A4")
+    T = T_cam_board(target, 1.2 * np.eye(3)[axis], 0.4)
+    image = photograph(printed_page(target), TELE, T, wall=5)
+    view = view_board(make_finder(target), target, image, "a", 7)
+    assert view is not None and view.ids_are_sure
+    assert np.linalg.norm(view.corners_px - true_corners(target, T, TELE)[view.ids], axis=1).max() < 0.5
+
+
+def test_of_a_chessboard_without_a_border_no_row_is_left_out() -> None:
+    """OpenCV gives a part of this one in which rows are two and three squares apart."""
+    target = page_target("chessboard", "A4")
+    T = T_cam_board(target, np.array([0.74, -0.19, -0.91]), 0.257, shift=(-0.0154, -0.3253))
+    image = photograph(trimmed(printed_page(target), target), WIDE, T, seed=6)
+    view = view_board(make_finder(target), target, image, "a", 7)
+    if view is not None:
+        truth = true_corners(target, T, WIDE)
+        found = np.linalg.norm(view.corners_px[:, None] - truth, axis=2).argmin(axis=1)
+        at = {int(i): np.array(divmod(int(j), target.columns)) for i, j in zip(view.ids, found, strict=True)}
+        below = [np.abs(at[i + target.columns] - at[i]).sum() for i in at if i + target.columns in at]
+        assert below and set(below) == {1}
+
+
+@pytest.mark.parametrize("is_legacy", [False, True])
+def test_a_charuco_board_of_an_even_number_of_rows_is_found_however_it_was_printed(is_legacy: bool) -> None:
+    target = Target("charuco", 6, 5, 0.03, marker_m=0.022, dictionary="DICT_6X6_250")
+    image = charuco_board(target, is_legacy).generateImage((490, 420), marginSize=30)
+    view = view_board(make_finder(target), target, cv2.GaussianBlur(image, (0, 0), 1.0), "a", 7)
+    assert view is not None and view.ids.tolist() == list(range(30))
+    side = np.diff(view.corners_px[:2, 0])
+    steps = target.corners[view.ids, :2] / target.square_m * side
+    assert np.abs(view.corners_px - view.corners_px[0] - steps).max() < 0.5
 
 
 @pytest.mark.parametrize("kind", ["aprilgrid", "charuco"])
