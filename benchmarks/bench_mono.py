@@ -37,7 +37,7 @@ from station.model.frames import ImageArray, ImageFrame
 from station.model.navigation import Trajectory
 from station.slam.backends import make_backend
 from station.slam.mono.backend import MonoBackend
-from station.slam.mono.config import FilterConfig
+from station.slam.mono.config import FilterConfig, SearchConfig
 from station.slam.mono.filter import MonoFilter
 from station.slam.run import run_backend
 from station.vision.lens import Lens
@@ -129,12 +129,12 @@ def with_ellipses(frame: ImageFrame, backend: MonoBackend) -> ImageArray:
     image = np.ascontiguousarray(frame.bgr()[::2, ::2])
     if backend.last is None:
         return image
-    wanted, found = backend.last.wanted, set(backend.last.ids[: backend.last.num_found].tolist())
-    for row, uv, S in zip(wanted.rows, wanted.uv_px / 2, wanted.S / 4, strict=True):
+    expected, found = backend.last.expected, set(backend.last.ids[: backend.last.num_found].tolist())
+    for row, uv, S in zip(expected.rows, expected.uv_px / 2, expected.ellipses() / 4, strict=True):
         lengths, axes = np.linalg.eigh(S)
-        box = (*uv.tolist(),), (*(2 * wanted.gate_sigmas * np.sqrt(lengths)).tolist(),)
+        box = (*uv.tolist(),), (*(2 * SearchConfig().gate_sigmas * np.sqrt(lengths)).tolist(),)
         angle = float(np.degrees(np.arctan2(axes[1, 0], axes[0, 0])))
-        colour = GREEN if int(wanted.state.ids[row]) in found else RED
+        colour = GREEN if int(backend.last.predicted.ids[row]) in found else RED
         cv2.ellipse(image, (*box, angle), colour, 1, cv2.LINE_AA)
     cv2.putText(image, f"picture {frame.index}", (6, 14), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255, 255, 255), 1)
     return image

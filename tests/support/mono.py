@@ -19,9 +19,8 @@ from shared.calibration import REFERENCE_CAMERA, Calibration
 from shared.geometry import FloatArray, IntArray, se3, so3_exp, so3_log
 from station.model.frames import ImageFrame
 from station.model.navigation import Trajectory
-from station.slam.mono.filter import Wanted
 from station.slam.mono.motion import POSE, POSITION
-from station.slam.mono.state import State
+from station.slam.mono.state import Expected, State
 from station.vision.lens import BoolArray, Lens
 
 RATE_HZ = 30.0
@@ -84,14 +83,14 @@ class PointFinder:
         wrong = self._rng.uniform(size=len(uv)) < self._outliers
         self._uv[wrong] += self._rng.normal(0.0, 15.0, (int(wrong.sum()), 2))
 
-    def find(self, wanted: Wanted) -> tuple[FloatArray, BoolArray, BoolArray]:
-        point = np.array([self._point_of[i] for i in wanted.state.ids[wanted.rows].tolist()], dtype=np.int64)
+    def find(self, state: State, expected: Expected) -> tuple[FloatArray, BoolArray, BoolArray]:
+        point = np.array([self._point_of[i] for i in state.ids[expected.rows].tolist()], dtype=np.int64)
         uv = self._uv[point]
-        off = uv - wanted.uv_px
-        chi2 = np.einsum("mi,mij,mj->m", off, np.linalg.inv(wanted.S), off)
+        off = uv - expected.uv_px
+        chi2 = np.einsum("mi,mij,mj->m", off, np.linalg.inv(expected.ellipses()), off)
         return uv, np.ones(len(point), dtype=bool), self._visible[point] & (chi2 < GATE)
 
-    def new_features(self, existing_px: FloatArray, count: int) -> FloatArray:
+    def new_features(self, existing_px: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         known = list(self._point_of.values())
         free = self._rng.permutation(np.setdiff1d(np.flatnonzero(self._visible), known))
         taken = list(existing_px)
@@ -101,7 +100,7 @@ class PointFinder:
                 kept.append(i)
                 taken.append(self._uv[i])
         self._fresh = np.array(kept, dtype=np.int64)
-        return self._uv[self._fresh]
+        return self._uv[self._fresh], np.ones(len(kept))
 
     def remember(self, ids: IntArray, uv_px: FloatArray, state: State) -> None:
         self._point_of |= dict(zip(ids.tolist(), self._fresh.tolist(), strict=True))

@@ -17,7 +17,7 @@ from shared.calibration import Calibration
 from shared.errors import ConfigError, EstimationError
 from shared.geometry import inverse, se3, transform, upright
 from station.model.frames import DriveSample, ImageArray, ImageFrame, ImuBatch
-from station.model.navigation import Navigation
+from station.model.navigation import Navigation, Trajectory
 from station.model.slam_update import SlamUpdate, TrackingState
 from station.slam.mapping.intake import FrameIntake
 from station.slam.mapping.report import make_report
@@ -68,10 +68,7 @@ class MonoBackend:
         if isinstance(grey, str):
             return self._update(frame, "tracking" if self.filter is not None else self._waiting, grey)
         self._finder.look_at(grey)
-        dt_s = (frame.t_robot_ns - self._previous_ns) * 1e-9
-        self._previous_ns = frame.t_robot_ns
-        if self.filter is not None and dt_s > self._config.max_gap_s:
-            self._lose(f"no image for {dt_s:.1f} s")
+        dt_s, self._previous_ns = (frame.t_robot_ns - self._previous_ns) * 1e-9, frame.t_robot_ns
         if self.filter is None:
             return self._start(frame, grey)
         return self._track(self.filter, dt_s, frame, grey)
@@ -80,37 +77,42 @@ class MonoBackend:
         try:
             self.last = result = mono.process(dt_s, self._finder)
         except np.linalg.LinAlgError:
-            return self._lose_at(frame, "the filter contradicts itself")
+            return self._lose(frame, "the filter contradicts itself")
         self._finder.keep(mono.state.ids)
         self._started_ns.append(frame.t_robot_ns)
         for t_ns, state in zip(self._started_ns, result.start, strict=False):  # none but where the start ends
             if t_ns in self._log.poses:
                 self._log.poses[t_ns] = self._T_world_filter @ state.T_world_cam
-        if result.removed is not None:
-            self._log.retire(result.removed, self._T_world_filter)
         if result.num_found >= self._config.min_found:
             self._found_ns = frame.t_robot_ns
             return self._keep(mono, result, frame, grey)
         if frame.t_robot_ns - self._found_ns > self._config.max_outage_s * 1e9:
-            return self._lose_at(frame, "too few features are found again")
+            return self._lose(frame, "too few features are found again")
         return self._update(frame, "tracking", found_again(result))
 
     def _keep(self, mono: MonoFilter, result: FrameResult, frame: ImageFrame, grey: ImageArray) -> SlamUpdate:
         """A frame whose pose is known."""
-        self._T_world_cam = self._T_world_filter @ mono.state.T_world_cam
+        state = mono.state
+        self._T_world_cam = self._T_world_filter @ state.T_world_cam
         self._log.poses[frame.t_robot_ns] = self._T_world_cam
         is_keyframe = self._log.is_keyframe(result.ids, result.uv_px, self._segment)
         if is_keyframe:
             self._log.add_keyframe(frame, self._segment, result.ids, result.uv_px)
+            self._note(mono)
         update = self._update(frame, "tracking", found_again(result))
         update = replace(update, T_world_body=self._T_world_cam @ self._T_cam_body, is_keyframe=is_keyframe)
-        new = np.isin(result.ids, result.settled) & np.isin(result.ids, mono.state.ids)
+        new = np.isin(result.ids, result.settled) & np.isin(result.ids, state.ids)
         if not new.any():
             return update
-        points = mono.state.points()[0][np.searchsorted(mono.state.ids, result.ids[new])]
+        points = transform(self._T_world_filter, state.points()[0][np.isin(state.ids, result.ids[new])])
         u, v = np.rint(result.uv_px[new]).astype(int).T
         rgb = np.repeat(grey[v, u][:, None], 3, axis=1).astype(np.float64)
-        return replace(update, new_points_world=transform(self._T_world_filter, points), new_points_rgb=rgb)
+        return replace(update, new_points_world=points, new_points_rgb=rgb)
+
+    def _note(self, mono: MonoFilter) -> None:
+        """What a filter thinks of its features, unless it will soon know better."""
+        if not mono.is_starting:
+            self._log.note(mono.state, self._T_world_filter)
 
     # ---- starting and losing
 
@@ -132,15 +134,12 @@ class MonoBackend:
         self._found_ns, self._started_ns = frame.t_robot_ns, [frame.t_robot_ns]
         return self._keep(mono, result, frame, grey)
 
-    def _lose(self, reason: str) -> None:
+    def _lose(self, frame: ImageFrame, reason: str) -> SlamUpdate:
         """What was estimated before the trouble stays; the next start is a new segment with a scale of its own."""
         assert self.filter is not None
-        self._log.retire(self.filter.state, self._T_world_filter)
+        self._note(self.filter)
         self._num_features, self.filter = self.filter.next_id, None
         self._messages.append(f"tracking lost after {self._intake.elapsed_s:.1f} s: {reason}")
-
-    def _lose_at(self, frame: ImageFrame, reason: str) -> SlamUpdate:
-        self._lose(reason)
         return self._update(frame, "lost", f"tracking lost: {reason}")
 
     # ---- the end
@@ -163,7 +162,7 @@ class MonoBackend:
         if not self._log.poses:
             raise EstimationError("tracking never started: no image had enough corners to follow")
         if self.filter is not None:
-            self._log.retire(self.filter.state, self._T_world_filter)
+            self._note(self.filter)
         else:
             self._lost_ns += intake.last_t_ns - self._found_ns
         keyframes, landmarks = self._log.map()
@@ -171,9 +170,11 @@ class MonoBackend:
             self._messages.append(f"{self._segment + 1} pieces, each with a scale and a frame of its own")
         report = make_report("mono", intake, self._config, self._lost_ns * 1e-9, 0, False, self._messages)
         report = replace(report, landmarks=len(landmarks))
-        identity = f"mono-{intake.first_t_ns}"
-        trajectory = self._log.trajectory(self._T_cam_body, self._shift_ns)
-        return Navigation(identity, self._calibration, trajectory, keyframes, landmarks, report)
+        poses = self._log.poses
+        trajectory = Trajectory(
+            np.array(list(poses)) + self._shift_ns, np.array(list(poses.values())) @ self._T_cam_body
+        )
+        return Navigation(f"mono-{intake.first_t_ns}", self._calibration, trajectory, keyframes, landmarks, report)
 
     def _update(self, frame: ImageFrame, state: TrackingState, message: str) -> SlamUpdate:
         return SlamUpdate(

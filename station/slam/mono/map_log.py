@@ -9,7 +9,7 @@ import numpy as np
 from shared.geometry import FloatArray, IntArray, transform
 from station.files.spill import Spill, SpilledFiles
 from station.model.frames import ImageFrame
-from station.model.navigation import Keyframes, Landmarks, Trajectory
+from station.model.navigation import Keyframes, Landmarks
 from station.slam.mapping.assemble import make_keyframes, make_landmarks
 from station.slam.mono.config import MonoConfig
 from station.slam.mono.motion import POSITION
@@ -28,15 +28,13 @@ class MapLog:
         self._points: dict[int, tuple[FloatArray, FloatArray]] = {}  # by id: where, and covariance
 
     def is_keyframe(self, ids: IntArray, uv_px: FloatArray, segment: int) -> bool:
-        """Whether the view has changed since the last keyframe: features moved, or left."""
+        """Whether half of the last keyframe's features have moved, or are gone."""
         if not self._segments or self._segments[-1] != segment:
             return True
         then, uv_then = self._seen[-1]
         _, now, before = np.intersect1d(ids, then, assume_unique=True, return_indices=True)
-        if len(now) < self._config.keyframe_share * len(then):
-            return True
         flow = np.linalg.norm(uv_px[now] - uv_then[before], axis=1)
-        return bool(len(flow)) and float(np.median(flow)) > self._config.keyframe_flow * self._width_px
+        return int((flow < self._config.keyframe_flow * self._width_px).sum()) < 0.5 * len(then)
 
     def add_keyframe(self, frame: ImageFrame, segment: int, ids: IntArray, uv_px: FloatArray) -> None:
         self._frames.append(replace(frame, encoded=b""))
@@ -44,7 +42,7 @@ class MapLog:
         self._segments.append(segment)
         self._seen.append((ids, uv_px))
 
-    def retire(self, state: State, T_world_filter: FloatArray) -> None:
+    def note(self, state: State, T_world_filter: FloatArray) -> None:
         """Keep the features of this state whose place is known well enough."""
         p, cov = state.points()
         away = np.linalg.norm(p - state.x[POSITION], axis=1)
@@ -52,10 +50,6 @@ class MapLog:
         R = T_world_filter[:3, :3]
         for i in np.flatnonzero(known).tolist():
             self._points[int(state.ids[i])] = transform(T_world_filter, p[i]), R @ cov[i] @ R.T
-
-    def trajectory(self, T_cam_body: FloatArray, shift_ns: int) -> Trajectory:
-        """Of the body; shift_ns from an image's time to that of its pose."""
-        return Trajectory(np.array(list(self.poses)) + shift_ns, np.array(list(self.poses.values())) @ T_cam_body)
 
     def map(self) -> tuple[Keyframes, Landmarks]:
         """Keyframes, and of the features whose place is known those that enough of them saw."""

@@ -76,7 +76,6 @@ class Predicted:
     is_ahead: BoolArray  # (N,) of the camera; elsewhere the other fields mean nothing
     by_pose: FloatArray  # (N, 2, 6) derivative by the camera's pose
     by_feature: FloatArray  # (N, 2, 6); the last three are zero for XYZ
-    by_direction: FloatArray  # (N, 2, 3) by the bracket of eqs. 2.4 and C.5
 
 
 def predict(r: FloatArray, R: FloatArray, y: FloatArray, is_inverse: BoolArray, lens: Lens) -> Predicted:
@@ -99,4 +98,4 @@ def predict(r: FloatArray, R: FloatArray, y: FloatArray, is_inverse: BoolArray, 
     by_rho = np.where(far[..., None], by_direction @ away[:, :, None], 0.0)
     by_pose = np.concatenate([-by_place, by_h @ skew(h)], axis=2)
     by_feature = np.concatenate([by_place, by_angles, by_rho], axis=2)
-    return Predicted(lens.project(xy), is_ahead, by_pose, by_feature, by_direction)  # eq. 2.5, distorted
+    return Predicted(lens.project(xy), is_ahead, by_pose, by_feature)  # eq. 2.5, distorted

@@ -6,7 +6,7 @@ the camera when it was first seen.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -14,22 +14,22 @@ import numpy as np
 from shared.geometry import FloatArray, IntArray, homogeneous
 from station.model.frames import ImageArray
 from station.slam.mono.config import SearchConfig
-from station.slam.mono.filter import Wanted
 from station.slam.mono.motion import POSITION
-from station.slam.mono.state import State
+from station.slam.mono.state import Expected, State
 from station.vision.klt import detect_corners
 from station.vision.lens import BoolArray, Lens
 
 NEAREST, FARTHEST = 0.05, 1e3  # units; of a patch's plane, for its warp only
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Patch:
     """What a feature looked like when it was first seen, and from where."""
 
     grey: ImageArray  # (side, side), the feature in its middle
-    rays: FloatArray  # (3, 3) through the middle, and one step right and down of it; z = 1, camera axes
-    r: FloatArray  # (3,) as far as was known while the feature had six numbers
+    shrunk: int  # 1, or so many times smaller than the image
+    rays: FloatArray  # (3, 3) through the middle, and one pixel of grey right and down of it; z = 1, camera axes
+    r: FloatArray  # (3,) as far as was known while the feature had six numbers (x_i of C.2)
     R: FloatArray  # (3, 3)
 
 
@@ -41,100 +41,108 @@ class PatchFinder:
         self._config = config
         self._half = config.patch_px // 2
         self._reach = self._half + config.margin_px
-        self._grey: ImageArray = np.zeros((1, 1), dtype=np.uint8)
         self._patches: dict[int, Patch] = {}
 
     def look_at(self, grey: ImageArray) -> None:
         """What follows is about this image (H, W)."""
-        self._grey = grey
+        coarse, (height, width) = self._config.coarse, grey.shape
+        size = width // coarse, height // coarse
+        self._images = {1: grey, coarse: np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA))}
 
     def keep(self, ids: IntArray) -> None:
         """Forget all other features."""
         self._patches = {number: self._patches[number] for number in ids.tolist()}
 
-    def new_features(self, existing_px: FloatArray, count: int) -> FloatArray:
-        """Shi-Tomasi corners where there are no features yet, at the middle of a whole pixel each."""
+    def new_features(self, existing_px: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+        """Shi-Tomasi corners where there are no features yet, at the middle of a whole pixel each; coarse ones last."""
         config = self._config
-        uv = detect_corners(self._grey, existing_px, count, config.cell_px, config.min_response, self._reach + 2)
-        uv = np.rint(uv)
-        inside = self._lens.is_inside(uv, self._reach + 1.0)
-        return uv[inside & self._lens.is_invertible(uv, self._lens.unproject(uv))]
+        found_px, noise = np.zeros((0, 2)), np.zeros(0)
+        for shrunk, grey in self._images.items():
+            taken = to_shrunk(np.concatenate([existing_px, found_px]), shrunk)
+            cell, wanted = config.cell_px // shrunk, count - len(found_px)
+            least = config.min_response / shrunk**2  # the noise that is averaged away, squared
+            corners = detect_corners(grey, taken, wanted, cell, least, self._reach + 2)
+            uv = from_shrunk(np.rint(corners), shrunk)
+            inside = self._lens.is_inside(uv, (self._reach + 1.0) * shrunk)
+            uv = uv[inside & self._lens.is_invertible(uv, self._lens.unproject(uv))]
+            found_px, noise = np.concatenate([found_px, uv]), np.append(noise, np.full(len(uv), float(shrunk)))
+        return found_px, noise
 
     def remember(self, ids: IntArray, uv_px: FloatArray, state: State) -> None:
+        noise = state.noise[np.searchsorted(state.ids, ids)]
         steps = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-        rays = homogeneous(self._lens.unproject(uv_px[:, None] + steps))
-        for number, (u, v), three in zip(ids.tolist(), uv_px.astype(int).tolist(), rays, strict=True):
+        rays = homogeneous(self._lens.unproject(uv_px[:, None] + steps * noise[:, None, None]))
+        for number, uv, three, shrunk in zip(ids.tolist(), uv_px, rays, noise.astype(int).tolist(), strict=True):
+            u, v = np.rint(to_shrunk(uv, shrunk)).astype(int)
             side = slice(v - self._reach, v + self._reach + 1), slice(u - self._reach, u + self._reach + 1)
-            self._patches[number] = Patch(self._grey[side].copy(), three, state.x[POSITION], state.R)
+            self._patches[number] = Patch(self._images[shrunk][side].copy(), shrunk, three, state.x[POSITION], state.R)
 
-    def find(self, wanted: Wanted) -> tuple[FloatArray, BoolArray, BoolArray]:
-        count = len(wanted.rows)
-        uv, tried, found = wanted.uv_px.copy(), np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
+    def find(self, state: State, expected: Expected) -> tuple[FloatArray, BoolArray, BoolArray]:
+        count = len(expected.rows)
+        uv, tried, found = expected.uv_px.copy(), np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
         if not count:
             return uv, tried, found
-        patches = self._seen_from_origins(wanted)
-        warps = self._warps(wanted, patches)
+        patches = [self._patches[number] for number in state.ids[expected.rows].tolist()]
+        warps = self._warps(state, expected.rows, patches)
         stretch = np.linalg.svd(warps, compute_uv=False)
         limit = self._config.max_stretch
         tried = (stretch[:, 0] < limit) & (stretch[:, 1] > 1.0 / limit)
-        inverse_S = np.linalg.inv(wanted.S)
-        half_sides = np.ceil(wanted.gate_sigmas * np.sqrt(wanted.S[:, range(2), range(2)]))
-        half_sides = np.minimum(half_sides, self._config.max_reach_px).astype(int)
+        ellipses = expected.ellipses()
         for i in np.flatnonzero(tried).tolist():
+            shrunk = patches[i].shrunk
             template = self._warped(patches[i].grey, warps[i])
-            place = self._search(template, wanted.uv_px[i], half_sides[i], inverse_S[i], wanted.gate_sigmas)
+            place = self._search(self._images[shrunk], template, to_shrunk(uv[i], shrunk), ellipses[i] / shrunk**2)
             if place is not None:
-                uv[i], found[i] = place, True
+                uv[i], found[i] = from_shrunk(place, shrunk), True
         return uv, tried, found
 
-    def _seen_from_origins(self, wanted: Wanted) -> list[Patch]:
-        """The wanted patches; where they were seen from is what the filter thinks of that by now (x_i of C.2)."""
-        numbers = wanted.state.ids[wanted.rows].tolist()
-        y, is_inverse = wanted.state.features()[wanted.rows], wanted.state.is_inverse[wanted.rows]
-        for i in np.flatnonzero(is_inverse).tolist():
-            self._patches[numbers[i]] = replace(self._patches[numbers[i]], r=y[i, :3])
-        return [self._patches[number] for number in numbers]
-
-    def _warps(self, wanted: Wanted, patches: list[Patch]) -> FloatArray:
-        """(M, 2, 2): what becomes of a step in the patch, in pixels of this image."""
-        state = wanted.state
+    def _warps(self, state: State, rows: IntArray, patches: list[Patch]) -> FloatArray:
+        """(M, 2, 2): what becomes of a step in the patch, in pixels of this image, shrunk likewise."""
+        for patch, y, is_inverse in zip(patches, state.features()[rows], state.is_inverse[rows], strict=True):
+            if is_inverse:
+                patch.r = y[:3]
         rays, r, R = (np.stack(each) for each in zip(*((p.rays, p.r, p.R) for p in patches), strict=True))
-        depth = np.einsum("mi,mi->m", state.points()[0][wanted.rows] - r, R[:, :, 2])
+        depth = np.einsum("mi,mi->m", state.points()[0][rows] - r, R[:, :, 2])
         depth = np.where(depth > NEAREST, np.minimum(depth, FARTHEST), FARTHEST)  # behind: beyond infinity
         corners = rays * depth[:, None, None] @ np.swapaxes(R, 1, 2) + r[:, None]
         seen = (corners - state.x[POSITION]) @ state.R
         uv = self._lens.project(seen[..., :2] / np.maximum(seen[..., 2:], NEAREST))
-        return np.swapaxes(uv[:, 1:] - uv[:, :1], 1, 2)
+        return np.swapaxes(uv[:, 1:] - uv[:, :1], 1, 2) / state.noise[rows, None, None]
 
     def _warped(self, grey: ImageArray, warp: FloatArray) -> ImageArray:
         """The template (patch_px, patch_px) as this image should show it."""
         back = np.linalg.inv(warp)  # from a step in this image to one in the patch
-        middle = np.full(2, float(self._half))
-        M = np.column_stack([back, self._reach - back @ middle])
+        M = np.column_stack([back, self._reach - back @ np.full(2, float(self._half))])
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         side = (self._config.patch_px, self._config.patch_px)
         return np.asarray(cv2.warpAffine(grey, M, side, flags=flags, borderMode=cv2.BORDER_REPLICATE), dtype=np.uint8)
 
-    def _search(
-        self, template: ImageArray, uv: FloatArray, half_sides: IntArray, inverse_S: FloatArray, gate: float
-    ) -> FloatArray | None:
+    def _search(self, grey: ImageArray, template: ImageArray, uv: FloatArray, S: FloatArray) -> FloatArray | None:
         """Where in its ellipse (eq. 2.6) the template is (2,), to a part of a pixel; None where it is not."""
-        height, width = self._grey.shape
-        u, v = np.rint(uv).astype(int).tolist()
-        left, right = max(u - half_sides[0], self._half), min(u + half_sides[0], width - 1 - self._half)
-        top, bottom = max(v - half_sides[1], self._half), min(v + half_sides[1], height - 1 - self._half)
-        if left > right or top > bottom:
+        half, gate = self._half, self._config.gate_sigmas
+        reach = np.minimum(np.ceil(gate * np.sqrt(np.diag(S))), self._config.max_reach_px)
+        end = np.array(grey.shape[::-1]) - 1 - half
+        low = np.maximum(np.rint(uv) - reach, half).astype(int)
+        high = np.minimum(np.rint(uv) + reach, end).astype(int)
+        if (low > high).any():
             return None
-        region = self._grey[top - self._half : bottom + self._half + 1, left - self._half : right + self._half + 1]
+        region = grey[low[1] - half : high[1] + half + 1, low[0] - half : high[0] + half + 1]
         score = np.asarray(cv2.matchTemplate(region, template, cv2.TM_CCOEFF_NORMED), dtype=np.float64)
-        du = np.arange(left, right + 1) - uv[0]
-        dv = np.arange(top, bottom + 1)[:, None] - uv[1]
-        chi2 = inverse_S[0, 0] * du * du + 2.0 * inverse_S[0, 1] * du * dv + inverse_S[1, 1] * dv * dv
-        in_ellipse = np.where(chi2 < gate * gate, score, -1.0)
+        off = np.stack(np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True))), axis=-1) - uv
+        in_ellipse = np.where(((off @ np.linalg.inv(S)) * off).sum(axis=-1) < gate**2, score, -1.0)
         row, column = divmod(int(np.argmax(in_ellipse)), score.shape[1])
         if in_ellipse[row, column] < self._config.min_correlation:
             return None
-        return np.array([left + column + _peak(score[row], column), top + row + _peak(score[:, column], row)])
+        return low + [column + _peak(score[row], column), row + _peak(score[:, column], row)]
+
+
+def to_shrunk(uv_px: FloatArray, shrunk: int) -> FloatArray:
+    """Pixels of the image so many times smaller; the middle of the first pixel is at 0 in both."""
+    return (uv_px + 0.5) / shrunk - 0.5
+
+
+def from_shrunk(uv_px: FloatArray, shrunk: int) -> FloatArray:
+    return (uv_px + 0.5) * shrunk - 0.5
 
 
 def _peak(line: FloatArray, at: int) -> float:

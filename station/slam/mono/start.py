@@ -20,7 +20,8 @@ from station.slam.mono.motion import POSE, POSITION
 from station.slam.mono.state import State
 from station.vision.lens import Lens
 
-ROUNDS = 3  # the last one changes little
+MAX_ROUNDS = 8  # less where the noise no longer changes
+SETTLED = 0.05  # relative change of the noise
 BAD_SIGMAS = 2.0  # a feature whose errors are larger on the mean is no fixed point
 
 
@@ -55,12 +56,14 @@ class Start:
 
     def _settled(self, path: list[State], sigma_px: float) -> tuple[list[State], float]:
         """Where rounds from this path lead, and the noise, px."""
-        good, images = path[-1].ids, self._images
-        for _ in range(ROUNDS):
+        good, images, noise_px = path[-1].ids, self._images, np.inf
+        for _ in range(MAX_ROUNDS):
             images = [image.only(good) for image in images]
             state = self._forth(images, [past.without(~np.isin(past.ids, good)) for past in path], sigma_px)
-            path = self._back(images, state, sigma_px)
+            path, before_px = self._back(images, state, sigma_px), noise_px
             noise_px, mean_px2 = self._errors(images, path)
+            if abs(noise_px - before_px) < SETTLED * noise_px:
+                break
             sigma_px = max(noise_px, self._config.min_sigma_px)
             good = path[-1].ids[mean_px2 <= (BAD_SIGMAS * sigma_px) ** 2]
         return [*path[:-1], state], noise_px
@@ -80,25 +83,25 @@ class Start:
             state = state.moved(self._config, image.dt_s)
             is_new = ~np.isin(image.ids, state.ids)
             state = self._fuse(state, image.only(state.ids), sigma_px, at)
-            new = image.ids[is_new], image.uv_px[is_new]
+            noise = at.noise[np.searchsorted(at.ids, image.ids[is_new])]
+            new = image.ids[is_new], image.uv_px[is_new], noise
             state = state.with_features(*new, self._lens, self._config, sigma_px)
         return state
 
     def _fuse(self, state: State, image: Measured, sigma_px: float, at: State | None = None) -> State:
-        if not len(image.ids):
-            return state
         rows = np.searchsorted(state.ids, image.ids)
         return state.updated(state.expect(self._lens, rows, sigma_px, at), image.uv_px)
 
     def _errors(self, images: list[Measured], path: list[State]) -> tuple[float, FloatArray]:
         """The noise of the measurements, px, without the features that contradict the others; and each one's, px^2."""
         feature = np.concatenate([np.searchsorted(path[-1].ids, image.ids) for image in images])
-        error = [
-            image.uv_px - state.predict(self._lens).uv_px[np.searchsorted(state.ids, image.ids)]
+        seen = [
+            state.predict(self._lens).uv_px[np.isin(state.ids, image.ids)]
             for image, state in zip(images, path, strict=True)
         ]
+        error = np.concatenate([image.uv_px for image in images]) - np.concatenate(seen)
         count = np.bincount(feature)
-        mean = np.bincount(feature, (np.concatenate(error) ** 2).sum(axis=1)) / (2 * count)
+        mean = np.bincount(feature, ((error / path[-1].noise[feature, None]) ** 2).sum(axis=1)) / (2 * count)
         good = mean < BAD_SIGMAS**2 * np.median(mean[feature])
         free = 2 * count[good].sum() - POSE * len(path) - 3 * good.sum()
         return float(np.sqrt((mean * 2 * count)[good].sum() / max(free, 1))), mean

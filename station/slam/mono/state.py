@@ -29,9 +29,14 @@ class Expected:
         return Expected(self.rows[chosen], self.uv_px[chosen], self.HP[two], self.S[np.ix_(two, two)])
 
     def blocks(self) -> FloatArray:
-        """S_ij (M, M, 2, 2); S_ii is S_i of eq. 2.6, a feature's own ellipse."""
+        """S_ij (M, M, 2, 2)."""
         M = len(self.rows)
         return self.S.reshape(M, 2, M, 2).swapaxes(1, 2)
+
+    def ellipses(self) -> FloatArray:
+        """S_i of eq. 2.6 (M, 2, 2), each feature's own."""
+        M = range(len(self.rows))
+        return self.blocks()[M, M]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,11 +48,12 @@ class State:
     P: FloatArray  # (n, n)
     ids: IntArray  # (N,) of the features
     is_inverse: BoolArray  # (N,) six numbers (C.2) instead of three (C.1)
+    noise: FloatArray  # (N,) of how many sigma_px its pixels are measured
 
     @classmethod
     def first(cls, config: FilterConfig) -> State:
         x, P = first_camera(config)
-        return cls(x, np.eye(3), P, np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool))
+        return cls(x, np.eye(3), P, np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool), np.zeros(0))
 
     @property
     def T_world_cam(self) -> FloatArray:
@@ -102,35 +108,12 @@ class State:
         S = HP[:, :POSE] @ H_x.reshape(-1, POSE).T + np.einsum("amk,mjk->amj", HP[:, mine], H_y).reshape(
             len(HP), len(HP)
         )
-        own = np.tile(sigma_px**2 * np.eye(2), (len(rows), 1, 1))  # R of eq. 2.6
         uv = seen.uv_px[rows]
-        if at is None:
-            mean, more = self._product_moments(rows)
-            J = seen.by_direction[rows]
-            uv = uv + (J @ mean[:, :, None])[:, :, 0]
-            own += J @ more @ np.swapaxes(J, 1, 2)
-        else:
+        if at is not None:
             off = self._minus(at)
             uv = uv + H_x @ off[:POSE] + (H_y @ off[mine][:, :, None])[:, :, 0]
-        expected = Expected(rows, uv, HP, 0.5 * (S + S.T))
-        M = range(len(rows))
-        expected.blocks()[M, M] += own
-        return expected
-
-    def _product_moments(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
-        """What mean (M, 3) and covariance (M, 3, 3) of rho (x_i - r) in eq. C.5 have beyond the derivatives' part.
-
-        Derivatives know nothing of either factor's error times the other's, which at first is most of it: a feature
-        of unknown depth seen from where it was first seen tells the linear filter a velocity, and far too surely.
-        E[rho a] = rho a + C, Cov[rho a] = (what is linear) + P_rho P_a + C C^T with C = Cov(rho, a).
-        """
-        inverse, P, place = self.is_inverse[rows][:, None], self.P, self.rows()[rows][:, :3]
-        rho = np.where(inverse, self.rows()[rows][:, 5:], 0)  # row 0 of an XYZ feature: left out at the end
-        C = P[place, rho] - P[rho, np.arange(3)]
-        crossed = P[place[:, :, None], np.arange(3)]
-        P_a = P[place[:, :, None], place[:, None, :]] + P[POSITION, POSITION] - crossed - np.swapaxes(crossed, 1, 2)
-        more = P[rho, rho][:, :, None] * P_a + C[:, :, None] * C[:, None, :]
-        return np.where(inverse, C, 0.0), np.where(inverse[:, :, None], more, 0.0)
+        R = np.repeat(sigma_px * self.noise[rows], 2) ** 2  # of eq. 2.6
+        return Expected(rows, uv, HP, 0.5 * (S + S.T) + np.diag(R))
 
     def _minus(self, at: State) -> FloatArray:
         """This mean (n,) seen from another, whose state begins with the same numbers."""
@@ -140,6 +123,8 @@ class State:
 
     def updated(self, expected: Expected, uv_px: FloatArray) -> State:
         """The Kalman update with measured pixels (M, 2): x + P H^T S^-1 nu, P - P H^T S^-1 H P."""
+        if not len(uv_px):
+            return self
         L = np.linalg.cholesky(expected.S)
         nu = (uv_px - expected.uv_px).ravel()
         W = scipy.linalg.solve_triangular(L, expected.HP, lower=True, check_finite=False)
@@ -151,13 +136,14 @@ class State:
     # ---- the map
 
     def with_features(
-        self, ids: IntArray, uv_px: FloatArray, lens: Lens, config: FilterConfig, sigma_px: float
+        self, ids: IntArray, uv_px: FloatArray, noise: FloatArray, lens: Lens, config: FilterConfig, sigma_px: float
     ) -> State:
         """New features of six numbers from one view of them (C.2): all that is unknown is how far they are."""
         if not len(ids):
             return self
         y, J, by_own = first_seen(self.x[POSITION], self.R, uv_px, config.first_inverse_depth, lens)  # eq. C.2
-        own = by_own * np.array([sigma_px, sigma_px, config.sigma_first_inverse_depth]) ** 2 @ np.swapaxes(by_own, 1, 2)
+        sigma = np.insert(np.tile(sigma_px * noise, (2, 1)), 2, config.sigma_first_inverse_depth, axis=0).T  # (K, 3)
+        own = by_own * sigma[:, None] ** 2 @ np.swapaxes(by_own, 1, 2)
         J = J.reshape(-1, POSE)
         with_state = J @ self.P[:POSE]
         among = with_state[:, :POSE] @ J.T + scipy.linalg.block_diag(*own)
@@ -167,6 +153,7 @@ class State:
             P=np.block([[self.P, with_state.T], [with_state, among]]),
             ids=np.concatenate([self.ids, ids]),
             is_inverse=np.concatenate([self.is_inverse, np.ones(len(ids), dtype=bool)]),
+            noise=np.concatenate([self.noise, noise]),
         )
 
     def linearity(self) -> FloatArray:
@@ -195,7 +182,9 @@ class State:
         """Fewer features; leave (N,) says which go."""
         rows = self.rows()
         gone = np.append(rows[leave, :3], rows[leave & self.is_inverse, 3:])
-        return replace(self, is_inverse=self.is_inverse[~leave])._keeping(self.ids[~leave], gone)
+        return replace(self, is_inverse=self.is_inverse[~leave], noise=self.noise[~leave])._keeping(
+            self.ids[~leave], gone
+        )
 
     def _keeping(self, ids: IntArray, gone: IntArray) -> State:
         """With these ids, and without these numbers of x."""

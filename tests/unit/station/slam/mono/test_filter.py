@@ -86,5 +86,5 @@ def test_map_keeps_its_size() -> None:
 
 def test_ellipses_shrink_as_depths_become_known() -> None:
     results = follow(1)[3]
-    area = [float(np.median(np.sqrt(np.linalg.det(result.wanted.S)))) for result in results[1:]]
+    area = [float(np.median(np.sqrt(np.linalg.det(result.expected.ellipses())))) for result in results[1:]]
     assert np.mean(area[-20:]) < 0.1 * area[0]

@@ -30,7 +30,7 @@ def seen() -> tuple[Lens, list[Measured], State]:
             state = state.moved(config, 1.0 / RATE_HZ)
             state = state.updated(state.expect(lens, inside, config.sigma_px), uv[inside])
         else:
-            state = state.with_features(ids, uv, lens, config, config.sigma_px)
+            state = state.with_features(ids, uv, np.ones(POINTS), lens, config, config.sigma_px)
     return lens, images, state
 
 
