@@ -86,7 +86,7 @@ def points_run(seed: int, seconds: float) -> dict[str, Any]:
         finder.look_from(T_world_cam)
         result = mono.process(1.0 / RATE_HZ if k else 0.0, finder)
         found.append(mono.state.T_world_cam)
-        found = [state.T_world_cam for state in result.start] or found
+        found[len(found) - len(result.again) :] = [state.T_world_cam for state in result.again]
         if k > 1:
             nees.append(pose_nees(mono.state, T_first_world @ T_world_cam))
     return judged(seed, path, Trajectory(path.t_robot_ns, np.array(found)), nees)

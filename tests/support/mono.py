@@ -90,13 +90,13 @@ class PointFinder:
         chi2 = np.einsum("mi,mij,mj->m", off, np.linalg.inv(expected.ellipses()), off)
         return uv, np.ones(len(point), dtype=bool), self._visible[point] & (chi2 < GATE)
 
-    def new_features(self, existing_px: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    def new_features(self, px: FloatArray, noise: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         known = list(self._point_of.values())
         free = self._rng.permutation(np.setdiff1d(np.flatnonzero(self._visible), known))
-        taken = list(existing_px)
+        taken = list(px)
         kept: list[int] = []
         for i in free.tolist():
-            if len(kept) < count and all(np.abs(self._uv[i] - uv).max() > 20.0 for uv in taken):
+            if len(taken) < count and all(np.abs(self._uv[i] - uv).max() > 20.0 for uv in taken):
                 kept.append(i)
                 taken.append(self._uv[i])
         self._fresh = np.array(kept, dtype=np.int64)

@@ -51,7 +51,7 @@ class MonoBackend:
         self._segment = -1
         self._num_features = 0  # of all segments so far
         self._previous_ns = 0
-        self._started_ns: list[int] = []  # times of the images that the running filter took
+        self._times_ns: list[int] = []  # times of the images that the running filter took
         self._found_ns = 0  # when enough features were found last
         self._lost_ns = 0
         self._messages: list[str] = []
@@ -79,8 +79,8 @@ class MonoBackend:
         except np.linalg.LinAlgError:
             return self._lose(frame, "the filter contradicts itself")
         self._finder.keep(mono.state.ids)
-        self._started_ns.append(frame.t_robot_ns)
-        for t_ns, state in zip(self._started_ns, result.start, strict=False):  # none but where the start ends
+        self._times_ns.append(frame.t_robot_ns)
+        for t_ns, state in zip(self._times_ns[-len(result.again) :], result.again, strict=False):  # at a window's end
             if t_ns in self._log.poses:
                 self._log.poses[t_ns] = self._T_world_filter @ state.T_world_cam
         if result.num_found >= self._config.min_found:
@@ -131,7 +131,7 @@ class MonoBackend:
         self._T_world_filter = self._T_world_cam
         if self._segment:
             self._lost_ns += frame.t_robot_ns - self._found_ns
-        self._found_ns, self._started_ns = frame.t_robot_ns, [frame.t_robot_ns]
+        self._found_ns, self._times_ns = frame.t_robot_ns, [frame.t_robot_ns]
         return self._keep(mono, result, frame, grey)
 
     def _lose(self, frame: ImageFrame, reason: str) -> SlamUpdate:

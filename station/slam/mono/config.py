@@ -19,6 +19,7 @@ class FilterConfig:
     min_sigma_px: float = 0.3
     # After how many the first images are gone through again; doubling, as what a path tells grows with its length.
     start_images: tuple[int, ...] = (10, 20, 40)
+    window_images: int = 20  # later, so many are gone through again together
     first_inverse_depth: float = 0.3  # 1/units, of a new feature (C.2)
     sigma_first_inverse_depth: float = 0.3  # one of them reaches to infinity
     max_linearity: float = 0.1  # below, a feature becomes XYZ (Civera et al. 2008, eq. 28)
@@ -37,6 +38,8 @@ class SearchConfig:
     # Where corners are too few, the picture shrunk so many times is searched for more: its noise is averaged away, and
     # what shades there are on a bare wall or ceiling fill a patch.
     coarse: int = 4
+    coarse_noise: float = 8.0  # times that of sharp corners: errors of 0.75 px beside 0.1
+    min_coarse_response: float = 2e-5  # ten times what noise gives there
     patch_px: int = 13  # side of the template that is looked for
     margin_px: int = 8  # kept around it, so that it can be warped
     min_correlation: float = 0.8

@@ -12,7 +12,7 @@ import numpy as np
 
 from shared.geometry import FloatArray, IntArray
 from station.slam.mono.config import FilterConfig
-from station.slam.mono.start import Measured, Start
+from station.slam.mono.window import Measured, Window
 from station.slam.mono.state import Expected, State
 from station.vision.lens import BoolArray, Lens
 
@@ -26,8 +26,11 @@ class Finder(Protocol):
         """Where the expected features are (M, 2), which were looked for (M,) and which of these were found (M,)."""
         ...
 
-    def new_features(self, existing_px: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-        """At most `count` pixels (K, 2) that are worth following, away from those that are, and State.noise of each."""
+    def new_features(self, px: FloatArray, noise: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+        """Pixels (K, 2) that are worth following, and State.noise of each, besides those that are followed (N, 2), (N,).
+
+        `count` in all of those that are as sharp or sharper.
+        """
         ...
 
     def remember(self, ids: IntArray, uv_px: FloatArray, state: State) -> None:
@@ -46,7 +49,7 @@ class FrameResult:
     predicted: State  # before the update
     expected: Expected  # features that were chosen to be looked for
     settled: IntArray  # ids of the features that became XYZ
-    start: list[State]  # where the start ends: the states after each of its images, better than they were
+    again: list[State]  # where a window ends: the states after each of its images, better than they were
 
 
 @dataclass(slots=True)
@@ -65,12 +68,12 @@ class MonoFilter:
         self.sigma_px = config.sigma_px
         self.next_id = first_id
         self._records: dict[int, Record] = {}
-        self._images: list[Measured] = []  # of the start
+        self._first, self._images = self.state, list[Measured]()  # of the window: the state before it, its images
         self._frame = 0
 
     @property
     def is_starting(self) -> bool:
-        """Whether the images so far will be gone through again, after which all is known better."""
+        """Whether the first images will be gone through again, after which all is known better."""
         return self._frame < self._config.start_images[-1]
 
     def process(self, dt_s: float, finder: Finder) -> FrameResult:
@@ -81,21 +84,28 @@ class MonoFilter:
         agreed = self._compatible(expected, uv, np.flatnonzero(found))
         self.state = predicted.updated(expected.of(agreed), uv[agreed])
         self._count(predicted.ids[expected.rows], tried, agreed)
-        settled = self._tend() if not self.is_starting else predicted.ids[:0]
         new_ids, new_uv = self._add(finder)
         ids = np.concatenate([predicted.ids[expected.rows[agreed]], new_ids])
         uv = np.concatenate([uv[agreed], new_uv])
-        start = self._begin(Measured(dt_s, ids, uv)) if self.is_starting else []
+        again, settled = self._go_again(Measured(dt_s, ids, uv)), ids[:0]
         self._frame += 1
-        return FrameResult(ids, uv, len(agreed), int(tried.sum()), predicted, expected, settled, start)
+        if len(self._images) == self._window:
+            settled = self._tend()
+            self._first, self._images = self.state, []
+        return FrameResult(ids, uv, len(agreed), int(tried.sum()), predicted, expected, settled, again)
+
+    @property
+    def _window(self) -> int:
+        start = self._config.start_images[-1]
+        return start if self._frame <= start else self._config.window_images
 
     def _choose(self, state: State) -> Expected:
-        """The features in view, the most informative (largest S) where there are too many."""
+        """The features in view, the most informative (S is largest beside their noise) where there are too many."""
         seen = state.predict(self._lens)
         in_view = seen.is_ahead & self._lens.is_inside(seen.uv_px, MARGIN_PX)
         expected = state.expect(self._lens, np.flatnonzero(in_view), self.sigma_px)
-        area = np.linalg.det(expected.ellipses())
-        return expected.of(np.sort(np.argsort(-area, kind="stable")[: self._config.num_measured]))
+        gain = np.linalg.det(expected.ellipses()) / state.noise[expected.rows] ** 4
+        return expected.of(np.sort(np.argsort(-gain, kind="stable")[: self._config.num_measured]))
 
     def _compatible(self, expected: Expected, uv: FloatArray, found: IntArray) -> IntArray:
         """Which of the found measurements (K,) agree with each other; uv (M, 2) are measured pixels.
@@ -118,14 +128,16 @@ class MonoFilter:
             found = np.delete(found, worst)
         return found
 
-    def _begin(self, image: Measured) -> list[State]:
-        """Keep the image; after some of the start's go through all of them once more."""
+    def _go_again(self, image: Measured) -> list[State]:
+        """Keep the image; at the end of a window, and within the first one, go through all of its images once more."""
         self._images = [kept.only(self.state.ids) for kept in [*self._images, image]]
-        if len(self._images) not in self._config.start_images:
+        config, is_start = self._config, self.is_starting
+        if len(self._images) not in (config.start_images if is_start else (config.window_images,)):
             return []
-        start, self.sigma_px = Start(self._lens, self._config, self._images).again(self.state, self.sigma_px)
-        self.state = start[-1]
-        return start
+        window = Window(self._lens, config, self._first, self._images)
+        again, self.sigma_px = window.again(self.state, self.sigma_px, is_start)
+        self.state = again[-1]
+        return again
 
     # ---- the map
 
@@ -156,9 +168,10 @@ class MonoFilter:
         """New features where the picture has too few: their ids and pixels."""
         state, config = self.state, self._config
         seen = state.predict(self._lens)
-        existing = seen.uv_px[seen.is_ahead & self._lens.is_inside(seen.uv_px)]
-        count = min(config.num_measured - len(existing), config.max_features - len(state.ids))
-        uv, noise = finder.new_features(existing, max(count, 0))
+        in_view = seen.is_ahead & self._lens.is_inside(seen.uv_px)
+        uv, noise = finder.new_features(seen.uv_px[in_view], state.noise[in_view], config.num_measured)
+        room = max(config.max_features - len(state.ids), 0)
+        uv, noise = uv[:room], noise[:room]
         ids = np.arange(self.next_id, self.next_id + len(uv))
         self.next_id += len(ids)
         self._records |= {number: Record(self._frame) for number in ids.tolist()}

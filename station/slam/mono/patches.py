@@ -53,26 +53,25 @@ class PatchFinder:
         """Forget all other features."""
         self._patches = {number: self._patches[number] for number in ids.tolist()}
 
-    def new_features(self, existing_px: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-        """Shi-Tomasi corners where there are no features yet, at the middle of a whole pixel each; coarse ones last."""
-        config = self._config
-        found_px, noise = np.zeros((0, 2)), np.zeros(0)
-        for shrunk, grey in self._images.items():
-            taken = to_shrunk(np.concatenate([existing_px, found_px]), shrunk)
-            cell, wanted = config.cell_px // shrunk, count - len(found_px)
-            least = config.min_response / shrunk**2  # the noise that is averaged away, squared
-            corners = detect_corners(grey, taken, wanted, cell, least, self._reach + 2)
+    def new_features(self, px: FloatArray, noise: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+        """Shi-Tomasi corners where there are no features yet, at the middle of a whole pixel each; sharp ones first."""
+        config, followed = self._config, len(px)
+        kinds = (1, 1.0, config.min_response), (config.coarse, config.coarse_noise, config.min_coarse_response)
+        for shrunk, own_noise, least in kinds:
+            wanted, cell = count - int((noise <= own_noise).sum()), config.cell_px // shrunk
+            taken = to_shrunk(px, shrunk)
+            corners = detect_corners(self._images[shrunk], taken, wanted, cell, least, self._reach + 2)
             uv = from_shrunk(np.rint(corners), shrunk)
             inside = self._lens.is_inside(uv, (self._reach + 1.0) * shrunk)
             uv = uv[inside & self._lens.is_invertible(uv, self._lens.unproject(uv))]
-            found_px, noise = np.concatenate([found_px, uv]), np.append(noise, np.full(len(uv), float(shrunk)))
-        return found_px, noise
+            px, noise = np.concatenate([px, uv]), np.append(noise, np.full(len(uv), own_noise))
+        return px[followed:], noise[followed:]
 
     def remember(self, ids: IntArray, uv_px: FloatArray, state: State) -> None:
-        noise = state.noise[np.searchsorted(state.ids, ids)]
+        size = np.where(state.noise[np.searchsorted(state.ids, ids)] > 1.0, self._config.coarse, 1)
         steps = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-        rays = homogeneous(self._lens.unproject(uv_px[:, None] + steps * noise[:, None, None]))
-        for number, uv, three, shrunk in zip(ids.tolist(), uv_px, rays, noise.astype(int).tolist(), strict=True):
+        rays = homogeneous(self._lens.unproject(uv_px[:, None] + steps * size[:, None, None]))
+        for number, uv, three, shrunk in zip(ids.tolist(), uv_px, rays, size.tolist(), strict=True):
             u, v = np.rint(to_shrunk(uv, shrunk)).astype(int)
             side = slice(v - self._reach, v + self._reach + 1), slice(u - self._reach, u + self._reach + 1)
             self._patches[number] = Patch(self._images[shrunk][side].copy(), shrunk, three, state.x[POSITION], state.R)
@@ -101,13 +100,15 @@ class PatchFinder:
         for patch, y, is_inverse in zip(patches, state.features()[rows], state.is_inverse[rows], strict=True):
             if is_inverse:
                 patch.r = y[:3]
-        rays, r, R = (np.stack(each) for each in zip(*((p.rays, p.r, p.R) for p in patches), strict=True))
+        rays, r, R, shrunk = (
+            np.stack(each) for each in zip(*((p.rays, p.r, p.R, p.shrunk) for p in patches), strict=True)
+        )
         depth = np.einsum("mi,mi->m", state.points()[0][rows] - r, R[:, :, 2])
         depth = np.where(depth > NEAREST, np.minimum(depth, FARTHEST), FARTHEST)  # behind: beyond infinity
         corners = rays * depth[:, None, None] @ np.swapaxes(R, 1, 2) + r[:, None]
         seen = (corners - state.x[POSITION]) @ state.R
         uv = self._lens.project(seen[..., :2] / np.maximum(seen[..., 2:], NEAREST))
-        return np.swapaxes(uv[:, 1:] - uv[:, :1], 1, 2) / state.noise[rows, None, None]
+        return np.swapaxes(uv[:, 1:] - uv[:, :1], 1, 2) / shrunk[:, None, None]
 
     def _warped(self, grey: ImageArray, warp: FloatArray) -> ImageArray:
         """The template (patch_px, patch_px) as this image should show it."""

@@ -98,8 +98,7 @@ class State:
     def expect(self, lens: Lens, rows: IntArray, sigma_px: float, at: State | None = None) -> Expected:
         """What an image should show of these features (M,).
 
-        at: where the derivatives are taken, instead of here. Its features begin with those of this state, and all of
-            both are of six numbers.
+        at: where the derivatives are taken, instead of here. Its features begin with those of this state.
         """
         seen = (self if at is None else at).predict(lens)
         H_x, H_y, mine = seen.by_pose[rows], seen.by_feature[rows], self.rows()[rows]
@@ -177,6 +176,9 @@ class State:
             P[six[:3]] = by_six @ P[six]
             P[:, six[:3]] = P[:, six] @ by_six.T
         return replace(self, x=x, P=P, is_inverse=self.is_inverse & ~which)._keeping(self.ids, rows[:, 3:])
+
+    def only(self, ids: IntArray) -> State:
+        return self.without(~np.isin(self.ids, ids))
 
     def without(self, leave: BoolArray) -> State:
         """Fewer features; leave (N,) says which go."""

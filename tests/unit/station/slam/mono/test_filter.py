@@ -32,7 +32,7 @@ def follow(
         finder.look_from(T_world_cam)
         results.append(mono.process(1.0 / RATE_HZ if k else 0.0, finder))
         poses.append(mono.state.T_world_cam)
-        poses = [state.T_world_cam for state in results[-1].start] or poses
+        poses[len(poses) - len(results[-1].again) :] = [state.T_world_cam for state in results[-1].again]
     return mono, path, Trajectory(path.t_robot_ns, np.array(poses)), results
 
 

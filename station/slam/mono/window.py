@@ -38,35 +38,39 @@ class Measured:
         return Measured(self.dt_s, self.ids[keep], self.uv_px[keep])
 
 
-class Start:
-    """The images of the start, and what they say together."""
+class Window:
+    """Some images in a row, and what they say together."""
 
-    def __init__(self, lens: Lens, config: FilterConfig, images: list[Measured]) -> None:
-        self._lens, self._config, self._images = lens, config, images
+    def __init__(self, lens: Lens, config: FilterConfig, first: State, images: list[Measured]) -> None:
+        """first: before the first image."""
+        self._lens, self._config, self._first, self._images = lens, config, first, images
 
-    def again(self, state: State, sigma_px: float) -> tuple[list[State], float]:
+    def again(self, state: State, sigma_px: float, is_start: bool) -> tuple[list[State], float]:
         """The states after each image, the last one honest of its errors; and the noise that was left, px.
 
-        state: after the last image, with all features of six numbers and in the order in which they came.
+        state: after the last image, with its features in the order in which they came.
+        is_start: nothing was known before, so it may be the mirror image that is true.
         """
         path = self._back(self._images, state, sigma_px)
-        found = [self._settled(each, sigma_px) for each in (path, [mirrored(past) for past in path])]
-        path, sigma_px = min(found, key=lambda path_sigma: path_sigma[1])
-        return path, max(sigma_px, self._config.min_sigma_px)
+        paths = [path, [mirrored(past) for past in path]] if is_start else [path]
+        path, sigma_px, _ = min((self._settled(each, sigma_px) for each in paths), key=lambda found: found[2])
+        return path, sigma_px
 
-    def _settled(self, path: list[State], sigma_px: float) -> tuple[list[State], float]:
-        """Where rounds from this path lead, and the noise, px."""
+    def _settled(self, path: list[State], sigma_px: float) -> tuple[list[State], float, float]:
+        """Where rounds from this path lead; the noise, px; and the squared errors, px^2: those that are left out, too."""
         good, images, noise_px = path[-1].ids, self._images, np.inf
         for _ in range(MAX_ROUNDS):
             images = [image.only(good) for image in images]
-            state = self._forth(images, [past.without(~np.isin(past.ids, good)) for past in path], sigma_px)
+            state = self._forth(images, [past.only(good) for past in path], sigma_px)
             path, before_px = self._back(images, state, sigma_px), noise_px
             noise_px, mean_px2 = self._errors(images, path)
-            if abs(noise_px - before_px) < SETTLED * noise_px:
-                break
             sigma_px = max(noise_px, self._config.min_sigma_px)
+            if abs(noise_px - before_px) < SETTLED * sigma_px:
+                break
             good = path[-1].ids[mean_px2 <= (BAD_SIGMAS * sigma_px) ** 2]
-        return [*path[:-1], state], noise_px
+        kept, all_ = (sum(len(image.ids) for image in some) for some in (images, self._images))
+        cost = kept * noise_px**2 + (all_ - kept) * (BAD_SIGMAS * sigma_px) ** 2
+        return [*path[:-1], state], sigma_px, cost
 
     def _back(self, images: list[Measured], state: State, sigma_px: float) -> list[State]:
         """From the last image to the first one; in the order of time."""
@@ -78,7 +82,7 @@ class Start:
 
     def _forth(self, images: list[Measured], path: list[State], sigma_px: float) -> State:
         """From the first image to the last one, with derivatives taken on the path."""
-        state = State.first(self._config)
+        state = self._first.only(path[-1].ids)
         for image, at in zip(images, path, strict=True):
             state = state.moved(self._config, image.dt_s)
             is_new = ~np.isin(image.ids, state.ids)
@@ -100,11 +104,12 @@ class Start:
             for image, state in zip(images, path, strict=True)
         ]
         error = np.concatenate([image.uv_px for image in images]) - np.concatenate(seen)
-        count = np.bincount(feature)
-        mean = np.bincount(feature, ((error / path[-1].noise[feature, None]) ** 2).sum(axis=1)) / (2 * count)
-        good = mean < BAD_SIGMAS**2 * np.median(mean[feature])
+        count = np.bincount(feature, minlength=len(path[-1].ids))
+        squares = np.bincount(feature, ((error / path[-1].noise[feature, None]) ** 2).sum(axis=1), len(count))
+        mean = squares / (2 * np.maximum(count, 1))
+        good = (mean < BAD_SIGMAS**2 * np.median(mean[feature])) & (count > 0)
         free = 2 * count[good].sum() - POSE * len(path) - 3 * good.sum()
-        return float(np.sqrt((mean * 2 * count)[good].sum() / max(free, 1))), mean
+        return float(np.sqrt(squares[good].sum() / max(free, count[good].sum(), 1))), mean
 
 
 def mirrored(state: State) -> State:
