@@ -12,8 +12,8 @@ import numpy as np
 
 from shared.geometry import FloatArray, IntArray
 from station.slam.mono.config import FilterConfig
-from station.slam.mono.window import Measured, Window
 from station.slam.mono.state import Expected, State
+from station.slam.mono.window import Measured, Window
 from station.vision.lens import BoolArray, Lens
 
 MARGIN_PX = 10.0  # to the image's border: a patch must fit
@@ -27,9 +27,10 @@ class Finder(Protocol):
         ...
 
     def new_features(self, px: FloatArray, noise: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-        """Pixels (K, 2) that are worth following, and State.noise of each, besides those that are followed (N, 2), (N,).
+        """Pixels (K, 2) that are worth following, and State.noise of each (K,).
 
-        `count` in all of those that are as sharp or sharper.
+        px, noise: (N, 2), (N,) of those that are followed already.
+        count: of all features as sharp or sharper.
         """
         ...
 
@@ -52,29 +53,14 @@ class FrameResult:
     again: list[State]  # where a window ends: the states after each of its images, better than they were
 
 
-@dataclass(slots=True)
-class Record:
-    """How a feature has done."""
-
-    last: int  # image in which it was found last
-    tried: int = 0
-    found: int = 0
-
-
 class MonoFilter:
     def __init__(self, lens: Lens, config: FilterConfig, first_id: int = 0) -> None:
         self._lens, self._config = lens, config
         self.state = State.first(config)
         self.sigma_px = config.sigma_px
         self.next_id = first_id
-        self._records: dict[int, Record] = {}
         self._first, self._images = self.state, list[Measured]()  # of the window: the state before it, its images
-        self._frame = 0
-
-    @property
-    def is_starting(self) -> bool:
-        """Whether the first images will be gone through again, after which all is known better."""
-        return self._frame < self._config.start_images[-1]
+        self.is_starting = True  # until the first images have been gone through again, after which all is known better
 
     def process(self, dt_s: float, finder: Finder) -> FrameResult:
         """Take one image in, dt_s after the one before."""
@@ -83,21 +69,12 @@ class MonoFilter:
         uv, tried, found = finder.find(predicted, expected)
         agreed = self._compatible(expected, uv, np.flatnonzero(found))
         self.state = predicted.updated(expected.of(agreed), uv[agreed])
-        self._count(predicted.ids[expected.rows], tried, agreed)
         new_ids, new_uv = self._add(finder)
         ids = np.concatenate([predicted.ids[expected.rows[agreed]], new_ids])
         uv = np.concatenate([uv[agreed], new_uv])
-        again, settled = self._go_again(Measured(dt_s, ids, uv)), ids[:0]
-        self._frame += 1
-        if len(self._images) == self._window:
-            settled = self._tend()
-            self._first, self._images = self.state, []
+        image = Measured(dt_s, ids, uv, predicted.ids[expected.rows])
+        again, settled = self._go_again(image)
         return FrameResult(ids, uv, len(agreed), int(tried.sum()), predicted, expected, settled, again)
-
-    @property
-    def _window(self) -> int:
-        start = self._config.start_images[-1]
-        return start if self._frame <= start else self._config.window_images
 
     def _choose(self, state: State) -> Expected:
         """The features in view, the most informative (S is largest beside their noise) where there are too many."""
@@ -128,39 +105,39 @@ class MonoFilter:
             found = np.delete(found, worst)
         return found
 
-    def _go_again(self, image: Measured) -> list[State]:
-        """Keep the image; at the end of a window, and within the first one, go through all of its images once more."""
-        self._images = [kept.only(self.state.ids) for kept in [*self._images, image]]
+    def _go_again(self, image: Measured) -> tuple[list[State], IntArray]:
+        """Keep the image; at the end of a window, and within the first one, go through all of its images once more.
+
+        Returns the better states after each of them, and which features became XYZ.
+        """
         config, is_start = self._config, self.is_starting
-        if len(self._images) not in (config.start_images if is_start else (config.window_images,)):
-            return []
+        self._images = [kept.only(self.state.ids) for kept in [*self._images, image]]
+        ends = config.start_images if is_start else (config.window_images,)
+        if len(self._images) not in ends:
+            return [], image.ids[:0]
         window = Window(self._lens, config, self._first, self._images)
         again, self.sigma_px = window.again(self.state, self.sigma_px, is_start)
         self.state = again[-1]
-        return again
+        if len(self._images) < ends[-1]:
+            return again, image.ids[:0]
+        settled = self._tend()
+        self._first, self._images, self.is_starting = self.state, [], False
+        return again, settled
 
     # ---- the map
-
-    def _count(self, ids: IntArray, tried: BoolArray, agreed: IntArray) -> None:
-        for number in ids[tried].tolist():
-            self._records[number].tried += 1
-        for number in ids[agreed].tolist():
-            self._records[number].found += 1
-            self._records[number].last = self._frame
 
     def _tend(self) -> IntArray:
         """Convert what is linear; give up what is found too rarely, beyond infinity, or too much. Ids converted."""
         config, state = self._config, self.state
         is_linear = state.linearity() < config.max_linearity
         settled, state = state.ids[is_linear], state.with_xyz(is_linear)
-        records = [self._records[number] for number in state.ids.tolist()]
-        last, tried, found = np.array([(r.last, r.tried, r.found) for r in records]).reshape(-1, 3).T
         row = state.rows()[:, 5]
+        wanted = np.sum([np.isin(state.ids, image.wanted) for image in self._images], axis=0)
+        found = np.sum([np.isin(state.ids, image.ids) for image in self._images], axis=0)
         leave = state.is_inverse & (state.x[row] + 2.0 * np.sqrt(np.maximum(state.P[row, row], 0.0)) < 0.0)
-        leave |= (tried >= config.min_tries) & (found < config.min_found_share * tried)
-        surplus = int((~leave).sum()) + config.num_measured - config.max_features
-        oldest = np.argsort(np.where(leave, self._frame, last), kind="stable")[: max(surplus, 0)]
-        leave[oldest[last[oldest] < self._frame]] = True
+        leave |= (wanted >= config.min_tries) & (found < config.min_found_share * wanted)
+        unseen = np.flatnonzero(~leave & (found == 0))  # the oldest first
+        leave[unseen[: max(int((~leave).sum()) + config.num_measured - config.max_features, 0)]] = True
         self.state = state.without(leave)
         return settled
 
@@ -174,7 +151,6 @@ class MonoFilter:
         uv, noise = uv[:room], noise[:room]
         ids = np.arange(self.next_id, self.next_id + len(uv))
         self.next_id += len(ids)
-        self._records |= {number: Record(self._frame) for number in ids.tolist()}
         self.state = state.with_features(ids, uv, noise, self._lens, config, self.sigma_px)
         finder.remember(ids, uv, self.state)
         return ids, uv

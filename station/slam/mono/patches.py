@@ -134,7 +134,7 @@ class PatchFinder:
         row, column = divmod(int(np.argmax(in_ellipse)), score.shape[1])
         if in_ellipse[row, column] < self._config.min_correlation:
             return None
-        return low + [column + _peak(score[row], column), row + _peak(score[:, column], row)]
+        return low + np.array([column + _peak(score[row], column), row + _peak(score[:, column], row)])
 
 
 def to_shrunk(uv_px: FloatArray, shrunk: int) -> FloatArray:

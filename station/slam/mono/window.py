@@ -1,9 +1,10 @@
-"""The first images once more: the same filter, its derivatives taken where it ended instead of where it guessed.
+"""Some images once more: the same filter, its derivatives taken where it ended instead of where it guessed.
 
 While little has moved, an image shows inverse depth times velocity, both unknown, and a filter that takes derivatives
 at its first guesses becomes far too sure of them. So it goes back through its measurements, which says where the
-camera was as far as is known by then, and forward again from nothing with the derivatives of that path. It does so
-a second time from the mirror image of that path, where a Gaussian may have settled, and keeps what fits better.
+camera was as far as is known by then, and forward again from before them with the derivatives of that path. At the
+start it does so a second time from the mirror image of that path, where a Gaussian may have settled, and keeps what
+fits better.
 Source: the iterated extended Kalman smoother, Bell, SIAM J. Optimization 4(3), 1994: a Gauss-Newton step a round.
 """
 
@@ -32,10 +33,11 @@ class Measured:
     dt_s: float  # since the image before
     ids: IntArray  # (K,) features that took part, and new ones
     uv_px: FloatArray  # (K, 2)
+    wanted: IntArray  # features that should have been in it
 
     def only(self, ids: IntArray) -> Measured:
         keep = np.isin(self.ids, ids)
-        return Measured(self.dt_s, self.ids[keep], self.uv_px[keep])
+        return replace(self, ids=self.ids[keep], uv_px=self.uv_px[keep])
 
 
 class Window:
@@ -57,7 +59,7 @@ class Window:
         return path, sigma_px
 
     def _settled(self, path: list[State], sigma_px: float) -> tuple[list[State], float, float]:
-        """Where rounds from this path lead; the noise, px; and the squared errors, px^2: those that are left out, too."""
+        """Where rounds from this path lead; the noise, px; the squared errors, px^2, also of what is left out."""
         good, images, noise_px = path[-1].ids, self._images, np.inf
         for _ in range(MAX_ROUNDS):
             images = [image.only(good) for image in images]

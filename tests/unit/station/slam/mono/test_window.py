@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from station.slam.mono.config import FilterConfig
-from station.slam.mono.start import Measured, Start
 from station.slam.mono.state import State
+from station.slam.mono.window import Measured, Window
 from station.vision.lens import Lens
 from tests.support.mono import RATE_HZ, hand_held_camera, hand_held_path
 
@@ -25,7 +25,7 @@ def seen() -> tuple[Lens, list[Measured], State]:
         uv = lens.project(h[:, :2] / h[:, 2:]) + rng.normal(0.0, 0.5, (POINTS, 2))
         uv[0] += [0.4 * k, -0.4 * k]
         inside = np.flatnonzero(lens.is_inside(uv, 5.0))
-        images.append(Measured(1.0 / RATE_HZ if k else 0.0, inside, uv[inside]))
+        images.append(Measured(1.0 / RATE_HZ if k else 0.0, inside, uv[inside], inside))
         if k:
             state = state.moved(config, 1.0 / RATE_HZ)
             state = state.updated(state.expect(lens, inside, config.sigma_px), uv[inside])
@@ -38,7 +38,7 @@ def test_start_measures_the_noise_and_leaves_out_the_feature_that_slides(
     seen: tuple[Lens, list[Measured], State],
 ) -> None:
     lens, images, state = seen
-    path, sigma_px = Start(lens, FilterConfig(), images).again(state, 1.0)
+    path, sigma_px = Window(lens, FilterConfig(), State.first(FilterConfig()), images).again(state, 1.0, True)
     assert sigma_px == pytest.approx(0.5, rel=0.1)
     assert path[-1].ids.tolist() == list(range(1, POINTS))
 
@@ -47,7 +47,7 @@ def test_start_gives_the_state_after_each_image_beginning_where_the_world_is(
     seen: tuple[Lens, list[Measured], State],
 ) -> None:
     lens, images, state = seen
-    path, sigma_px = Start(lens, FilterConfig(), images).again(state, 1.0)
+    path, sigma_px = Window(lens, FilterConfig(), State.first(FilterConfig()), images).again(state, 1.0, True)
     assert len(path) == len(images)
     np.testing.assert_allclose(path[0].T_world_cam, np.eye(4), atol=0.02)
     for each, past in zip(images, path, strict=True):
