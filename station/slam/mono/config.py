@@ -39,7 +39,7 @@ class SearchConfig:
     # what shades there are on a bare wall or ceiling fill a patch.
     coarse: int = 4
     coarse_noise: float = 8.0  # times that of sharp corners: errors of 0.75 px beside 0.1
-    min_coarse_response: float = 2e-5  # ten times what noise gives there
+    min_coarse_response: float = 6e-5  # a step of two grey levels; JPEG makes steps of one, which stay where they are
     patch_px: int = 13  # side of the template that is looked for
     margin_px: int = 8  # kept around it, so that it can be warped
     min_correlation: float = 0.8
