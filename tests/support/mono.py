@@ -103,7 +103,7 @@ class PointFinder:
         return self._uv[self._fresh], np.ones(len(kept))
 
     def remember(self, ids: IntArray, uv_px: FloatArray, state: State) -> None:
-        self._point_of |= dict(zip(ids.tolist(), self._fresh.tolist(), strict=True))
+        self._point_of |= dict(zip(ids.tolist(), self._fresh[: len(ids)].tolist(), strict=True))
 
 
 def rendered(path: Trajectory, calibration: Calibration, seed: int) -> Iterator[ImageFrame]:

@@ -35,7 +35,7 @@ class Finder(Protocol):
         ...
 
     def remember(self, ids: IntArray, uv_px: FloatArray, state: State) -> None:
-        """Keep what is to be found again of new features."""
+        """Keep what is to be found again of new features: those there was room for, the first ones."""
         ...
 
 
@@ -95,7 +95,7 @@ class MonoFilter:
         """
         while len(found):
             chosen = expected.of(found)
-            information = np.linalg.inv(chosen.S)
+            information = np.asarray(np.linalg.inv(chosen.S), dtype=np.float64)
             left = (information @ (uv[found] - chosen.uv_px).ravel()).reshape(-1, 2)
             own = replace(chosen, S=information).ellipses()
             chi2 = np.einsum("mi,mij,mj->m", left, np.linalg.inv(own), left)

@@ -47,7 +47,8 @@ class PatchFinder:
         """What follows is about this image (H, W)."""
         coarse, (height, width) = self._config.coarse, grey.shape
         size = width // coarse, height // coarse
-        self._images = {1: grey, coarse: np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA))}
+        small: ImageArray = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        self._images = {1: grey, coarse: small}
 
     def keep(self, ids: IntArray) -> None:
         """Forget all other features."""
