@@ -21,6 +21,7 @@ from station.calibration.target import Target
 from station.calibration.target_file import read_target
 from station.calibration.target_page import page_target
 from station.calibration.wheels import (
+    TOO_FEW_RESTS,
     Move,
     Wheels,
     board_poses,
@@ -124,6 +125,12 @@ def test_where_samples_are_missing_the_refusal_names_them() -> None:
     assert "Samples of the IMU are missing" in found.reasons[0]
     silent = calibrate_wheels(turning([(0.5, 25.5)]), CHESSBOARD)
     assert "Samples of the IMU are missing" in silent.reasons[0]
+
+
+def test_a_drive_that_is_too_short_is_told_how_long_and_with_which_rests() -> None:
+    begun = turning()
+    found = calibrate_wheels(replace(begun, drive=[DriveSample(0, 0.0, 1.0)]), CHESSBOARD)
+    assert found.reasons == (TOO_FEW_RESTS,) and "record a minute, and pause two seconds" in TOO_FEW_RESTS
 
 
 def test_a_guessed_lens_is_refused() -> None:
