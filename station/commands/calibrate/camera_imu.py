@@ -16,8 +16,10 @@ from shared.disk import replacing
 from shared.errors import DataError
 from station.calibration import CALIBRATE_CAMERA
 from station.calibration.camera_files import camchain_yaml
+from station.calibration.camera_imu.batch import Solution
 from station.calibration.camera_imu.calibrate import calibrate_camera_imu
 from station.calibration.camera_imu.recording import open_thinned, read_recording
+from station.calibration.camera_imu.unknowns import INTRINSICS
 from station.calibration.target_file import read_target
 from station.calibration.told import told
 from station.commands.options import Json, check_out_file
@@ -72,9 +74,18 @@ def camera_imu(
         if kalibr is not None:
             with replacing(kalibr) as file:
                 file.write(camchain_yaml(measured).encode())
-    print(json.dumps(found.results()) if as_json else summary(found.results(), out))
+    results = found.results()
+    if found.solution is not None:
+        results["sigma"] |= lens_sigma(found.solution)
+    print(json.dumps(results) if as_json else summary(results, out))
     if not found.is_accepted:
         raise typer.Exit(REFUSED)
+
+
+def lens_sigma(solution: Solution) -> dict[str, Any]:
+    """How well the lens is known, as it was refined."""
+    sigma = solution.sigma(INTRINSICS).tolist()
+    return {"intrinsics": sigma[:4], "distortion": sigma[4:]}
 
 
 def summary(results: dict[str, Any], out: Path) -> str:
@@ -91,6 +102,7 @@ def summary(results: dict[str, Any], out: Path) -> str:
             f"position     {position} mm of the camera from the IMU",
             f"time shift   {1e3 * results['time_shift_s']:.3f} ± {1e3 * sigma['time_shift_s']:.3f} ms",
             f"line delay   {1e6 * results['line_delay_s']:.2f} ± {1e6 * sigma['line_delay_s']:.2f} µs",
+            f"focal length {results['intrinsics'][0]:.2f} ± {sigma['intrinsics'][0]:.2f} px, as it was refined",
             f"left over    {results['rms_px']:.2f} px, {math.degrees(results['rms_gyro']):.2f} °/s,"
             f" {results['rms_accel']:.3f} m/s²",
         ]

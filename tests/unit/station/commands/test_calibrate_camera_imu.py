@@ -51,6 +51,10 @@ def test_a_waved_robot_is_calibrated_from_its_images(recorded: tuple[Path, Sessi
     assert np.linalg.norm(T[:3, 3] - T_true[:3, 3]) < 3e-3
     assert abs(found["time_shift_s"] - true["time_shift_s"]) < 2e-4
     assert abs(found["line_delay_s"] - true["line_delay_s"]) < 5e-7
+    away = np.array(found["intrinsics"]) - [true[key] for key in ("fx", "fy", "cx", "cy")]
+    sigma = np.array(found["sigma"]["intrinsics"])
+    assert (sigma > 0.0).all() and (sigma < 0.003 * true["width"]).all()  # better known than before
+    assert (np.abs(away) < 4 * sigma).all() and len(found["sigma"]["distortion"]) == 4
     written = read_calibration(out).camera
     assert written is not None
     assert np.allclose(written.T_body_cam_matrix, T)
