@@ -10,10 +10,7 @@ time shift, line delay and gravity of every robot.
 from __future__ import annotations
 
 import argparse
-import contextlib
-import io
 import json
-import time
 from pathlib import Path
 from typing import Any
 
@@ -21,42 +18,20 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.bench_mapping import parse_seeds
+from benchmarks.calibration_sessions import calibrate, poor_sessions, refusals, session, truth_of
 from benchmarks.result import Figure, Run, add_results_option, share, work_folder
-from robot.simulation.calibration.conduct import POOR
 from robot.simulation.calibration.kind import Kind
-from robot.simulation.calibration.sessions import record_session
 from shared.geometry import FloatArray, so3_log
-from station.main import app
 
 FIRST_POOR_SEED = 5000
 
 
-def calibrate(folder: Path) -> dict[str, Any]:
-    """What the command prints, and the seconds that it took."""
-    out = folder.with_suffix(".yaml")
-    command = ["calibrate", "camera-imu", str(folder), "--target", str(folder / "target.yaml"), "--out", str(out)]
-    printed = io.StringIO()
-    wall, cpu = time.perf_counter(), time.process_time()
-    with contextlib.redirect_stdout(printed), contextlib.suppress(SystemExit):
-        app([*command, "--json"], standalone_mode=False)
-    seconds = {"wall_s": round(time.perf_counter() - wall, 1), "cpu_s": round(time.process_time() - cpu, 1)}
-    return json.loads(printed.getvalue().splitlines()[-1]) | seconds
-
-
-def recording(work: Path, seed: int, poor: str | None) -> Path:
-    """Rendered where it is missing."""
-    folder = work / f"camera-imu-{seed}{'-' + poor if poor else ''}"
-    if not folder.exists():
-        record_session(Kind.CAMERA_IMU, folder, seed, poor)
-    return folder
-
-
 def good(work: Path, seed: int) -> dict[str, Any]:
     """One robot: its errors, and each in sigmas."""
-    folder = recording(work, seed, None)
-    found = calibrate(folder)
+    folder = session(work, Kind.CAMERA_IMU, seed)
+    found = calibrate(Kind.CAMERA_IMU, folder)
     row = {"seed": seed, **{key: found[key] for key in ("accepted", "reasons", "wall_s", "cpu_s")}}
-    return row | errors(found, json.loads((folder / "truth.json").read_text())) if found["sigma"] else row
+    return row | errors(found, truth_of(folder)) if found["sigma"] else row
 
 
 def errors(found: dict[str, Any], truth: dict[str, Any]) -> dict[str, Any]:
@@ -85,11 +60,6 @@ def errors(found: dict[str, Any], truth: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def poor(work: Path, number: int, name: str) -> dict[str, Any]:
-    found = calibrate(recording(work, FIRST_POOR_SEED + number, name))
-    return {"poor": name, "accepted": found["accepted"], "reasons": found["reasons"]}
-
-
 BOUNDS = {  # median, worst
     "rotation_deg": ("rotation error", "°", 0.05, 0.1),
     "position_mm": ("position error", "mm", 1.5, 3.0),
@@ -98,8 +68,7 @@ BOUNDS = {  # median, worst
 }
 
 
-def figures(rows: list[dict[str, Any]]) -> list[Figure]:
-    robots, mistakes = [r for r in rows if "seed" in r], [r for r in rows if "poor" in r]
+def figures(robots: list[dict[str, Any]], mistakes: list[dict[str, Any]]) -> list[Figure]:
     known = [row for row in robots if "in_sigmas" in row]
     found = []
     for key, (what, unit, median, worst) in BOUNDS.items():
@@ -109,17 +78,13 @@ def figures(rows: list[dict[str, Any]]) -> list[Figure]:
         found.append(Figure(f"{name}, worst", max(values, default=None), unit, at_most=worst))
     within = [abs(z) < 3.0 for row in known for z in row["in_sigmas"]]
     found.append(share("camera-imu: truth within three sigmas", sum(within), len(within), at_least=97.0))
-    found.append(share("camera-imu: good recordings accepted", _accepted(robots), len(robots), at_least=100.0))
-    if mistakes:
-        found.append(share("camera-imu: poor recordings accepted", _accepted(mistakes), len(mistakes), at_most=0.0))
+    accepted = sum(row["accepted"] for row in robots)
+    found.append(share("camera-imu: good recordings accepted", accepted, len(robots), at_least=100.0))
+    found += refusals(Kind.CAMERA_IMU, mistakes) if mistakes else []
     longest = max((row["wall_s"] for row in robots), default=None)
     found.append(Figure("camera-imu: seconds by the clock for 30 s of recording, longest", longest, "s", at_most=30.0))
     longest = max((row["cpu_s"] for row in robots), default=None)
     return [*found, Figure("camera-imu: CPU seconds, longest", longest, "s")]
-
-
-def _accepted(rows: list[dict[str, Any]]) -> int:
-    return sum(row["accepted"] for row in rows)
 
 
 def main() -> None:
@@ -136,10 +101,8 @@ def main() -> None:
         for seed in parse_seeds(options.seeds):
             rows.append(good(work, seed))
             print(json.dumps(rows[-1]), flush=True)
-        for number, name in enumerate([] if options.no_poor else POOR[Kind.CAMERA_IMU]):
-            rows.append(poor(work, number, name))
-            print(json.dumps(rows[-1]), flush=True)
-    run.write(options.results, figures(rows))
+        mistakes = [] if options.no_poor else poor_sessions(work, Kind.CAMERA_IMU, FIRST_POOR_SEED)
+    run.write(options.results, figures(rows, mistakes))
 
 
 if __name__ == "__main__":

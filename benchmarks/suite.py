@@ -77,6 +77,7 @@ SUITE = (
         "calibrate_camera", SLAM, "bench_calibrate_camera", f"--data {DATA} --halves 20", f"--data {DATA} --halves 1",
         data=f"{DATA}/aprilgrid_euroc",
     ),
+    Benchmark("calibrate_camera_sessions", SLAM, "bench_calibrate_camera_sessions", "--seeds 0-19", "--seeds 0"),
     Benchmark("calibrate_imu", SLAM, "bench_calibrate_imu", "--seeds 20", "--seeds 1"),
     Benchmark("mapping", SLAM, "bench_mapping", "--backend sfm --backend ukf", None),
     Benchmark("places", PLACES, "places", "--first 400 --seeds 30", "--seeds 1"),

@@ -14,6 +14,7 @@ import numpy as np
 
 from shared.bounded import shown
 from shared.calibration import CameraCalibration
+from shared.calibration_yaml import as_calibration
 from shared.errors import DataError
 from shared.geometry import FloatArray, inverse, orthonormal, se3
 from shared.sensor_yaml import numbers, read_camera, read_yaml
@@ -70,6 +71,14 @@ def lens_camchain_yaml(size: tuple[int, int], intrinsics: list[float], model: st
         f"  resolution: [{size[0]}, {size[1]}]\n"
         "  rostopic: /cam0/image_raw\n"
     )
+
+
+def read_camera_file(path: Path) -> CameraCalibration | None:
+    """Of a calibration.yaml, a camchain of kalibr's or a camera.yaml; None where the first has no camera."""
+    content = read_yaml(path)
+    if "camera" in content:
+        return as_calibration(content, path).camera
+    return read_camchain(path) if "cam0" in content else read_camera(path, content)
 
 
 def read_camchain(path: Path) -> CameraCalibration:

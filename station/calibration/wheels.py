@@ -47,6 +47,7 @@ MAX_IMU_GAP_S = 0.05  # a turn that is longer without samples may have changed m
 LAG_RANGE_S = (0.005, 0.5)
 PERCENT_3_SIGMA = 0.99865  # of a normal distribution is below three sigmas
 IMU_MISSING = "Samples of the IMU are missing"
+TOO_FEW_RESTS = "The robot hardly stands still: record a minute, and pause two seconds between moves."
 RECORD_AGAIN = "see that nothing else keeps the robot busy, and record again"
 
 
@@ -126,7 +127,7 @@ def calibrate_wheels(data: Dataset, target: Target, on_frame: Callable[[], None]
     t_ns = data.imu.t_robot_ns
     stops = find_rests(data.drive, int(t_ns[-1]))
     if len(stops) < 2:
-        return Wheels(None, None, None, None, (), ("The robot never stands still: pause two seconds between moves.",))
+        return Wheels(None, None, None, None, (), (TOO_FEW_RESTS,))
     rests = _felt(stops, t_ns)
     if len(rests) < 2:
         return Wheels(None, None, None, None, (), (f"{IMU_MISSING} almost everywhere: {RECORD_AGAIN}.",))

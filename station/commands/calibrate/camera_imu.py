@@ -11,16 +11,17 @@ import msgspec
 import numpy as np
 import typer
 
-from shared.calibration import Calibration, CameraCalibration
-from shared.calibration_yaml import as_calibration, calibration_text
+from shared.calibration_yaml import calibration_text
 from shared.disk import replacing
 from shared.errors import DataError
-from shared.sensor_yaml import read_camera, read_own_noise, read_yaml
 from station.calibration import CALIBRATE_CAMERA
-from station.calibration.camera_files import read_camchain
+from station.calibration.camera_files import camchain_yaml
+from station.calibration.camera_imu.batch import Solution
 from station.calibration.camera_imu.calibrate import calibrate_camera_imu
 from station.calibration.camera_imu.recording import open_thinned, read_recording
+from station.calibration.camera_imu.unknowns import INTRINSICS
 from station.calibration.target_file import read_target
+from station.calibration.told import told
 from station.commands.options import Json, check_out_file
 from station.commands.progress import working
 
@@ -43,13 +44,18 @@ def camera_imu(
         Path | None,
         typer.Option("--imu", help="imu.yaml (kalibr's too) or calibration.yaml; else the dataset's."),
     ] = None,
+    kalibr: Annotated[
+        Path | None, typer.Option("--kalibr", help="Write kalibr's camchain, with T_cam_imu, here as well.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Find how camera and IMU sit on each other: rotation, position, time shift, line delay, gravity.
 
     Exit code 2 when the recording does not suffice; says what to do.
     """
-    check_out_file(out)
+    for path in (out, kalibr):
+        if path is not None:
+            check_out_file(path)
     board = read_target(target)
     with working(f"opening {dataset.name}") as bar:
         data = open_thinned(dataset)
@@ -62,31 +68,24 @@ def camera_imu(
             raise DataError(f"{where}: the lens is a guess; {CALIBRATE_CAMERA} and give --camera")
         found = calibrate_camera_imu(read_recording(data, board, lens, known, bar), bar.step)
     if found.is_accepted and found.solution is not None:
-        measured = msgspec.structs.replace(known, camera=found.solution.unknowns.camera)
+        measured = found.solution.unknowns.camera
         with replacing(out) as file:
-            file.write(calibration_text(measured).encode())
-    print(json.dumps(found.results()) if as_json else summary(found.results(), out))
+            file.write(calibration_text(msgspec.structs.replace(known, camera=measured)).encode())
+        if kalibr is not None:
+            with replacing(kalibr) as file:
+                file.write(camchain_yaml(measured).encode())
+    results = found.results()
+    if found.solution is not None:
+        results["sigma"] |= lens_sigma(found.solution)
+    print(json.dumps(results) if as_json else summary(results, out))
     if not found.is_accepted:
         raise typer.Exit(REFUSED)
 
 
-def told(own: Calibration, camera: Path | None, imu: Path | None) -> Calibration:
-    """What is known beforehand: the dataset's own, or what files say instead."""
-    if camera is not None:
-        own = msgspec.structs.replace(own, camera=read_lens(camera))
-    if imu is not None:
-        content = read_yaml(imu)
-        noise = as_calibration(content, imu).imu if "imu" in content else read_own_noise(imu, content)
-        own = msgspec.structs.replace(own, imu=noise)
-    return own
-
-
-def read_lens(path: Path) -> CameraCalibration | None:
-    """Of a calibration.yaml, a camchain of kalibr's or a camera.yaml; None where the first has no camera."""
-    content = read_yaml(path)
-    if "camera" in content:
-        return as_calibration(content, path).camera
-    return read_camchain(path) if "cam0" in content else read_camera(path, content)
+def lens_sigma(solution: Solution) -> dict[str, Any]:
+    """How well the lens is known, as it was refined."""
+    sigma = solution.sigma(INTRINSICS).tolist()
+    return {"intrinsics": sigma[:4], "distortion": sigma[4:]}
 
 
 def summary(results: dict[str, Any], out: Path) -> str:
@@ -103,6 +102,7 @@ def summary(results: dict[str, Any], out: Path) -> str:
             f"position     {position} mm of the camera from the IMU",
             f"time shift   {1e3 * results['time_shift_s']:.3f} ± {1e3 * sigma['time_shift_s']:.3f} ms",
             f"line delay   {1e6 * results['line_delay_s']:.2f} ± {1e6 * sigma['line_delay_s']:.2f} µs",
+            f"focal length {results['intrinsics'][0]:.2f} ± {sigma['intrinsics'][0]:.2f} px, as it was refined",
             f"left over    {results['rms_px']:.2f} px, {math.degrees(results['rms_gyro']):.2f} °/s,"
             f" {results['rms_accel']:.3f} m/s²",
         ]

@@ -9,13 +9,13 @@ from typing import Annotated
 import msgspec
 import typer
 
-from shared.calibration_yaml import as_calibration, calibration_text
+from shared.calibration_yaml import calibration_text
 from shared.disk import replacing
-from shared.sensor_yaml import read_yaml
 from station.calibration.assumed import assumed_noise
 from station.calibration.targetless.check import CalibrationCheck, LivelyRecording, check_calibration
 from station.calibration.targetless.recording import lively
 from station.calibration.targetless.verdict import WAVE
+from station.calibration.told import told_whole
 from station.commands.options import Json, check_out_file
 from station.commands.progress import working
 from station.datasets import open_dataset
@@ -33,7 +33,11 @@ def check(
         Path, typer.Option("--out", help="The repaired calibration.yaml to write; nothing is written when refused.")
     ],
     calibration: Annotated[
-        Path | None, typer.Option("--calibration", help="The calibration.yaml to check; else the dataset's own.")
+        Path | None,
+        typer.Option(
+            "--calibration",
+            help="What to check: calibration.yaml, camera.yaml or camchain of kalibr's; else the dataset's own.",
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -44,7 +48,7 @@ def check(
     check_out_file(out)
     with working(f"opening {dataset.name}") as bar:
         data = open_dataset(dataset, needs_camera=calibration is None)
-        known = data.calibration if calibration is None else as_calibration(read_yaml(calibration), calibration)
+        known = data.calibration if calibration is None else told_whole(data.calibration, calibration)
         recording = lively(data, known, calibration or dataset)
         found = check_calibration(recording, bar)
     if is_written(found):

@@ -13,13 +13,15 @@ from typer.testing import CliRunner
 
 from robot.simulation.calibration.kind import Kind
 from robot.simulation.calibration.sessions import Session, record_session
-from shared.calibration import REFERENCE_ROBOT, CameraCalibration
+from shared.calibration import REFERENCE_ROBOT, CameraCalibration, WheelCalibration
 from shared.errors import DataError
 from shared.geometry import se3, so3_exp, so3_log, transform
+from shared.sensor_yaml import read_yaml
 from station.calibration.target import Target
 from station.calibration.target_file import read_target
 from station.calibration.target_page import page_target
 from station.calibration.wheels import (
+    TOO_FEW_RESTS,
     Move,
     Wheels,
     board_poses,
@@ -29,6 +31,7 @@ from station.calibration.wheels import (
     late,
     pose_before_board,
 )
+from station.commands.calibrate.wheels import wheels_section
 from station.datasets import Dataset, open_dataset
 from station.main import app
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
@@ -71,6 +74,27 @@ def test_the_command_writes_what_the_robot_should_be_told(recording: tuple[Path,
     assert f"track_m = {answer['track_m']:.4f}" in out.read_text()
 
 
+def test_without_what_the_robot_drove_with_no_speed_is_made_up(recording: tuple[Path, Session], tmp_path: Path) -> None:
+    folder, session = recording
+    out, true = tmp_path / "wheels.yaml", session.truth["wheels"]
+    command = ["calibrate", "wheels", str(folder), "--target", str(folder / "target.yaml"), "--out", str(out)]
+    said = CliRunner().invoke(app, [*command, "--json"])
+    assert said.exit_code == 0
+    answer = json.loads(said.stdout.splitlines()[-1])
+    assert answer["full_speed_m_s"] is answer["track_m"] is answer["sigma"]["track_m"] is None
+    assert answer["slip"] == pytest.approx(1 - answer["turn_factor"] / answer["speed_factor"])
+    wheels = read_yaml(out)["wheels"]
+    assert wheels["speed"] == pytest.approx(true["linear_efficiency"], rel=0.003)
+    assert wheels["turn"] == pytest.approx(true["yaw_efficiency"], rel=0.01)
+    half = CliRunner().invoke(app, [*command, "--track", "0.2"])
+    assert half.exit_code != 0 and "give both --full-speed and --track" in str(half.exception)
+
+
+def test_factors_that_were_in_use_already_are_part_of_the_new_ones() -> None:
+    section = wheels_section({"speed_factor": 0.9, "turn_factor": 1.1}, WheelCalibration(speed=0.5, turn=2.0))
+    assert section == "wheels:\n  speed: 0.4500\n  turn: 2.2000\n"
+
+
 def turning(without_imu_s: Sequence[tuple[float, float]] = (), frames: Sequence[ImageFrame] = ()) -> Dataset:
     """Six turns of 2 s at 1 rad/s, of which 80 % are done, each after 2 s of rest; the IMU is silent in some spans."""
     drive = [DriveSample(k * 2 * S, 0.0, float(k % 2)) for k in range(13)]
@@ -101,6 +125,12 @@ def test_where_samples_are_missing_the_refusal_names_them() -> None:
     assert "Samples of the IMU are missing" in found.reasons[0]
     silent = calibrate_wheels(turning([(0.5, 25.5)]), CHESSBOARD)
     assert "Samples of the IMU are missing" in silent.reasons[0]
+
+
+def test_a_drive_that_is_too_short_is_told_how_long_and_with_which_rests() -> None:
+    begun = turning()
+    found = calibrate_wheels(replace(begun, drive=[DriveSample(0, 0.0, 1.0)]), CHESSBOARD)
+    assert found.reasons == (TOO_FEW_RESTS,) and "record a minute, and pause two seconds" in TOO_FEW_RESTS
 
 
 def test_a_guessed_lens_is_refused() -> None:

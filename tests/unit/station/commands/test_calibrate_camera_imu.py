@@ -16,8 +16,9 @@ from shared.calibration import REFERENCE_CAMERA, REFERENCE_ROBOT
 from shared.calibration_yaml import read_calibration
 from shared.errors import DataError
 from shared.geometry import so3_log
+from station.calibration.camera_files import read_camchain
 from station.calibration.camera_imu.recording import views_of
-from station.commands.calibrate.camera_imu import told
+from station.calibration.told import told, told_whole
 from station.commands.progress import working
 from station.datasets import Dataset
 from station.main import app
@@ -41,8 +42,8 @@ def calibrate(folder: Path, out: Path, *options: str) -> tuple[int, str]:
 
 def test_a_waved_robot_is_calibrated_from_its_images(recorded: tuple[Path, Session], tmp_path: Path) -> None:
     folder, session = recorded
-    out = tmp_path / "calibration.yaml"
-    code, printed = calibrate(folder, out, "--json")
+    out, camchain = tmp_path / "calibration.yaml", tmp_path / "camchain.yaml"
+    code, printed = calibrate(folder, out, "--kalibr", str(camchain), "--json")
     assert code == 0, printed
     found, true = json.loads(printed.splitlines()[-1]), session.truth["calibration"]["camera"]
     T, T_true = np.array(found["T_body_cam"]), np.array(true["T_body_cam"]).reshape(4, 4)
@@ -50,10 +51,17 @@ def test_a_waved_robot_is_calibrated_from_its_images(recorded: tuple[Path, Sessi
     assert np.linalg.norm(T[:3, 3] - T_true[:3, 3]) < 3e-3
     assert abs(found["time_shift_s"] - true["time_shift_s"]) < 2e-4
     assert abs(found["line_delay_s"] - true["line_delay_s"]) < 5e-7
+    away = np.array(found["intrinsics"]) - [true[key] for key in ("fx", "fy", "cx", "cy")]
+    sigma = np.array(found["sigma"]["intrinsics"])
+    assert (sigma > 0.0).all() and (sigma < 0.003 * true["width"]).all()  # better known than before
+    assert (np.abs(away) < 4 * sigma).all() and len(found["sigma"]["distortion"]) == 4
     written = read_calibration(out).camera
     assert written is not None
     assert np.allclose(written.T_body_cam_matrix, T)
     assert written.time_shift_s == found["time_shift_s"]
+    kalibrs = read_camchain(camchain)
+    assert np.allclose(kalibrs.T_body_cam_matrix, T)
+    assert (kalibrs.time_shift_s, kalibrs.line_delay_s) == (written.time_shift_s, written.line_delay_s)
 
 
 def test_a_recording_without_an_imu_is_refused_and_nothing_written(tmp_path: Path) -> None:
@@ -151,3 +159,15 @@ def test_a_recording_that_says_nothing_of_the_imus_noise_is_noted(tmp_path: Path
 def notes_of(folder: Path, scratch: Path) -> str:
     _, printed = calibrate(folder, scratch / "calibration.yaml", "--json")
     return " ".join(json.loads(printed.splitlines()[-1])["notes"])
+
+
+def test_a_camchain_with_its_mounting_is_a_calibration_to_check(tmp_path: Path) -> None:
+    camchain = tmp_path / "camchain.yaml"
+    mounting = "".join(f"  - {row}\n" for row in np.diag([1.0, -1.0, -1.0, 1.0]).tolist())
+    camchain.write_text(f"{CAMCHAIN}  T_cam_imu:\n{mounting}  timeshift_cam_imu: -0.02\n")
+    known = told_whole(REFERENCE_ROBOT, camchain)
+    assert known.camera is not None and known.imu == REFERENCE_ROBOT.imu
+    assert (known.camera.fx, known.camera.time_shift_s, known.camera.T_body_cam_matrix[1, 1]) == (500.0, -0.02, -1.0)
+    camchain.write_text(CAMCHAIN)
+    with pytest.raises(DataError, match="does not say how the camera is mounted"):
+        told_whole(REFERENCE_ROBOT, camchain)
