@@ -26,12 +26,13 @@ MAX_LEFT_OUT = 0.2  # of the corners
 
 def reasons_against(found: CameraFit) -> list[str]:
     """Sentences with a remedy each; empty where the calibration can be used."""
-    wrong_board = list(_board(found))
-    return wrong_board or [*_poses(found), *_places(found), *_model(found)]
+    poses = list(_poses(found))
+    # A board that is not as its file says spoils everything else; but only tilts to all sides tell a bend from a lens.
+    wrong_board = [*_gap(found), *([] if poses else _bend(found))]
+    return wrong_board or [*poses, *_places(found), *_model(found)]
 
 
-def _board(found: CameraFit) -> Iterator[str]:
-    """A board that is not as its file says spoils everything else."""
+def _bend(found: CameraFit) -> Iterator[str]:
     length_mm = 1e3 * float(np.linalg.norm(np.ptp(found.target.corners, axis=0)))
     moves_focal = np.abs(found.shape.moves[:2] / found.fit.numbers[:2]).max()
     if found.shape.bend > MAX_BEND or moves_focal > MAX_FOCAL_ERROR:
@@ -39,6 +40,9 @@ def _board(found: CameraFit) -> Iterator[str]:
             f"the board is bent, by {found.shape.bend * length_mm:.1f} mm over {length_mm:.0f} mm; "
             "glue it to something flat and take the images again"
         )
+
+
+def _gap(found: CameraFit) -> Iterator[str]:
     if abs(found.shape.gap_ratio - 1.0) > MAX_GAP_ERROR:
         spacing = found.target.gap_m / found.target.square_m
         yield (
