@@ -77,6 +77,12 @@ class CalibrationCheck:
         return [q.name for q in self.quantities if q.key in verdict.ASKED and not q.is_observable]
 
     @property
+    def notes(self) -> list[str]:
+        """What is seen of each quantity, and what was not used of the recording."""
+        not_used = () if self.solution is None else self.solution.problem.seen.notes
+        return [*(quantity.sentence for quantity in self.quantities), *not_used]
+
+    @property
     def repairs(self) -> list[str]:
         """What `repaired` replaces, by name."""
         return [q.name for q in self.quantities if self.is_believed and q.is_observable and not q.fits]
@@ -104,7 +110,7 @@ class CalibrationCheck:
         """For scripts; numbers are null where nothing could be estimated."""
         out: dict[str, Any] = {"accepted": self.is_accepted, "reasons": self.reasons, "fits": self.fits}
         out["repairs"] = self.repairs
-        out["notes"] = [quantity.sentence for quantity in self.quantities]
+        out["notes"] = self.notes
         out["told"] = _numbers(self.told)
         if self.solution is None:
             return dict.fromkeys(ESTIMATED) | out

@@ -12,7 +12,7 @@ import typer
 from shared.calibration_yaml import calibration_text
 from shared.disk import replacing
 from station.calibration.assumed import assumed_noise
-from station.calibration.targetless.check import CalibrationCheck, LivelyRecording, check_calibration
+from station.calibration.targetless.check import CalibrationCheck, check_calibration
 from station.calibration.targetless.recording import lively
 from station.calibration.targetless.verdict import WAVE
 from station.calibration.told import told_whole
@@ -54,22 +54,17 @@ def check(
     if is_written(found):
         with replacing(out) as file:
             file.write(calibration_text(msgspec.structs.replace(known, camera=found.repaired)).encode())
-    notes = notes_on(recording, found)
+    assumed = assumed_noise(recording.noise)
     results = found.results()
-    results["notes"] += notes
-    print(json.dumps(results) if as_json else summary(found, notes, out))
+    results["notes"] += assumed
+    print(json.dumps(results) if as_json else summary(found, assumed, out))
     if not found.is_accepted:
         raise typer.Exit(REFUSED)
 
 
-def notes_on(recording: LivelyRecording, found: CalibrationCheck) -> list[str]:
-    """What was not told or not used."""
-    return [*assumed_noise(recording.noise), *([] if found.solution is None else found.solution.problem.seen.notes)]
-
-
-def summary(found: CalibrationCheck, notes: list[str], out: Path) -> str:
+def summary(found: CalibrationCheck, assumed: list[str], out: Path) -> str:
     """What a person wants to know."""
-    lines = [*(quantity.sentence for quantity in found.quantities), *notes]
+    lines = [*found.notes, *assumed]
     lines += [f"refused: {reason}" for reason in found.reasons]
     if found.repairs and found.is_accepted:
         lines.append(f"the calibration does not fit: {' and '.join(found.repairs)} repaired")
