@@ -31,6 +31,8 @@ PARTS = {
     "kiss_matcher": ("global registration; our own search is used without it", "Python 3.11 or 3.12 on x86_64", True),
     "fastapi": ("the API and the page", install("station"), False),
     "mcap": ("recordings", install("station"), False),
+    "rapidocr": ("optional, names of rooms read from door plates", install("ocr"), True),
+    "onnxruntime": ("optional, names of rooms by a model of yours (`station labels`)", install("labels"), True),
     "open3d": (
         "optional second registration backend",
         f"sudo apt-get install libegl1 libgl1 libusb-1.0-0 libx11-6 && {install('open3d')}",

@@ -17,6 +17,7 @@ from shared.geometry import FloatArray
 UNSEEN, FREE, OCCUPIED = 0, 1, 2
 NO_ROOM = -1
 MAX_EDITS = 500  # doors that were drawn or erased in one map
+SuggestionSource = Literal["sticker", "door plate", "model", "other map"]  # a printed word is a "door plate" anywhere
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,12 +61,12 @@ class NameSuggestion:
 
     room: str  # id
     name: str
-    source: Literal["sticker", "door plate", "model", "other map"]
+    source: SuggestionSource
     confidence: float  # 0..1
     reason: str  # a sentence for a person
     keyframe_index: int | None = None  # of the map: the picture that shows it
     corners_px: FloatArray | None = None  # (4, 2) where in that picture
-    p_map: FloatArray | None = None  # (3,) where what speaks for it hangs; None: in records from before it was noted
+    p_map: FloatArray | None = None  # (3,) where what speaks for it is; None: in records from before it was noted
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -68,7 +68,8 @@ class LibraryJobs(LibraryProgram):
         first = navigations[0].id
         draft = _taking_over(place_map, store.newest_of_navigation(first))
         self._emit(Progress(0.75, "looking for stickers that name rooms"))
-        place_map = replace(place_map, suggestions=with_suggestions(draft).suggestions)
+        found = with_suggestions(draft, lambda text: self._emit(Progress(0.75, text))).suggestions
+        place_map = replace(place_map, suggestions=found)
         self._emit(Progress(0.8, f"saving {_count(len(draft.places), 'place')}"))
         # That took long: what people did to places and rooms meanwhile is taken over, too.
         place_map = store.rebuild(place_map, first, _taking_over, f"built from {place_map.navigation.id}"[:200])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -72,7 +72,7 @@ def test_building_a_map_shows_what_it_does_until_it_is_done(tmp_path: Path, monk
         yield Said()
         shown.clear()
 
-    def look(place_map: PlaceMap) -> PlaceMap:
+    def look(place_map: PlaceMap, say: Callable[[str], None]) -> PlaceMap:
         during.extend(shown)
         return place_map
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -11,7 +11,7 @@ from shared.geometry import FloatArray
 from station.api.schema.base import Model, Number, Question
 from station.api.schema.places import PlaceName, RoomName
 from station.library.active_maps import ActiveMap
-from station.model.floor_plan import Door, NameSuggestion, Room
+from station.model.floor_plan import Door, NameSuggestion, Room, SuggestionSource
 from station.model.points import NO_PLACE
 from station.places.rooms.drawing import room_outlines
 from station.places.rooms.lines import driven_path
@@ -24,7 +24,7 @@ class NameSuggestionModel(Model):
     """A name that something seen speaks for; PATCH /rooms/{id} uses it, nobody else does."""
 
     name: str = Field(examples=["Kitchen"])
-    source: Literal["sticker", "door plate", "model", "other map"]
+    source: SuggestionSource
     confidence: float = Field(description="0..1", examples=[0.98])
     reason: str = Field(examples=["a sticker in this room says Kitchen"])
     image: str | None = Field(description="the picture that shows it", examples=["/maps/map-0a1b/images/17.jpg"])

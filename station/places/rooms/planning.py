@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import count
 
-from station.model.floor_plan import FloorPlan, NameSuggestion
+from station.model.floor_plan import FloorPlan, NameSuggestion, SuggestionSource
 from station.model.place_map import PlaceMap
-from station.places.naming.facing import room_before
+from station.places.naming.facing import room_named
 from station.places.rooms.gathering import gathered
 from station.places.rooms.place_names import named_by_rooms
 
@@ -41,18 +41,18 @@ def with_plan(place_map: PlaceMap, plan: FloorPlan) -> PlaceMap:
 
 
 def _handed_on(place_map: PlaceMap, plan: FloorPlan) -> tuple[NameSuggestion, ...]:
-    """The suggestions, each for the room in which what speaks for it hangs now; none for rooms that are gone.
+    """The suggestions, each for the room that what speaks for it names now; none for rooms that are gone.
 
-    Several names in one room share their confidence, and none is surer than the plan is of the room.
+    Several names by one source in one room share their confidence, and none is surer than the plan is of the room.
     """
     certainty = {room.id: room.certainty for room in plan.rooms}
     earlier = {} if place_map.plan is None else {room.id: room.certainty for room in place_map.plan.rooms}
-    names_before = Counter(suggestion.room for suggestion in place_map.suggestions)
-    found: dict[tuple[str, str], NameSuggestion] = {}
-    for s in sorted(place_map.suggestions, key=lambda s: s.confidence):  # of equal names in one room the surest is kept
+    names_before = Counter((s.room, s.source) for s in place_map.suggestions)
+    found: dict[tuple[str, str, str], NameSuggestion] = {}
+    for s in sorted(place_map.suggestions, key=lambda s: s.confidence):  # of equal names the surest is kept
         if (room := _room_of(s, place_map, plan)) in certainty:
-            found[room, s.name] = s
-    names_now = Counter(room for room, _ in found)
+            found[room, s.name, s.source] = s
+    names_now = Counter((room, source) for room, _, source in found)
     return tuple(
         replace(
             s,
@@ -60,20 +60,20 @@ def _handed_on(place_map: PlaceMap, plan: FloorPlan) -> tuple[NameSuggestion, ..
             confidence=min(
                 1.0,
                 s.confidence
-                * (names_before[s.room] / names_now[room])
+                * (names_before[s.room, s.source] / names_now[room, s.source])
                 * (certainty[room] / max(earlier.get(s.room, certainty[room]), LEAST_CERTAINTY)),
             ),
         )
-        for (room, _), s in sorted(found.items())
+        for (room, _, _), s in sorted(found.items(), key=lambda item: item[0])
     )
 
 
 def _room_of(suggestion: NameSuggestion, place_map: PlaceMap, plan: FloorPlan) -> str:
-    """Id of the room in which what speaks for a name hangs, or the suggestion's own where nobody knows."""
+    """Id of the room that what speaks for a name names now, or the suggestion's own where nobody knows."""
     if suggestion.p_map is None or suggestion.keyframe_index is None:
         return suggestion.room
     T_map_cam = place_map.navigation.keyframes.T_world_cam[suggestion.keyframe_index]
-    number = room_before(plan, suggestion.p_map, T_map_cam[:3, 3])
+    number = room_named(plan, suggestion.source, suggestion.p_map, T_map_cam[:3, 3])
     return suggestion.room if number is None else plan.rooms[number].id
 
 
@@ -101,10 +101,21 @@ def _distinct(words: Sequence[str], prefix: str) -> list[str]:
     return distinct
 
 
-def with_suggestions(place_map: PlaceMap) -> PlaceMap:
-    """The map with names that something in its pictures speaks for. Looks at every picture; nothing is named yet."""
+def with_suggestions_of(place_map: PlaceMap, source: SuggestionSource, found: Sequence[NameSuggestion]) -> PlaceMap:
+    """The map with these suggestions in the place of all that its source made before."""
+    if place_map.plan is None:
+        return place_map
+    others = tuple(s for s in place_map.suggestions if s.source != source)
+    return with_plan(replace(place_map, suggestions=(*others, *found)), place_map.plan)
+
+
+def with_suggestions(place_map: PlaceMap, say: Callable[[str], None] = lambda _: None) -> PlaceMap:
+    """The map with names that something in its pictures speaks for; nothing is named yet.
+
+    Looks at every picture, and says how far it is where that takes long.
+    """
     from station.places.naming.suggest import suggest_names  # as above: workers make maps
 
     if place_map.plan is None:
         return place_map
-    return replace(place_map, suggestions=suggest_names(place_map, place_map.plan))
+    return replace(place_map, suggestions=suggest_names(place_map, place_map.plan, say))

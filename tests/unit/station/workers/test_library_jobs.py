@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -44,7 +45,7 @@ def test_what_people_do_while_a_map_is_built_again_stays_and_can_be_undone(
     room, place = require_plan(first).rooms[0].id, first.places[0].id
     store.edit(map_id, partial(with_place_renamed, place_id=place, name="Sofa"), "the sofa is named")
 
-    def look_while_a_person_names_the_room(place_map: PlaceMap) -> PlaceMap:
+    def look_while_a_person_names_the_room(place_map: PlaceMap, say: Callable[[str], None]) -> PlaceMap:
         store.edit(map_id, partial(with_room_renamed, room_id=room, name="Kitchen"), "the kitchen is named")
         return place_map
 

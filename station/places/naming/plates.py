@@ -1,0 +1,89 @@
+"""Door plates and labels: printed words in the pictures of a map, each read once, from nearby."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import cv2
+import numpy as np
+
+from shared.geometry import FloatArray
+from shared.room_sticker import MAX_READ
+from shared.text import is_printable
+from station.model.floor_plan import FloorPlan
+from station.model.frames import ImageArray, decode_picture
+from station.model.place_map import PlaceMap
+from station.places.naming.close_views import close_views
+from station.places.naming.facing import door_beside
+from station.places.naming.room_words import RoomWords
+from station.places.naming.sightings import MIN_LANDMARKS, PLAIN_TRUST, Eye, Sighting
+from station.vision.printed import PrintedLine
+
+MAX_PICTURES = 300  # 0.2 s each: a minute
+MAX_WORDS = 4  # of a plate; more are a sentence
+
+Reader = Callable[[ImageArray], list[PrintedLine]]
+
+
+def find_plates(
+    place_map: PlaceMap,
+    plan: FloorPlan,
+    words: RoomWords,
+    read: Reader,
+    stickers: Sequence[Sighting] = (),
+    on_picture: Callable[[int, int], None] = lambda _n, _of: None,
+) -> list[Sighting]:
+    """Printed words that name a room and whose distance is known.
+
+    Beside a door whatever reads like a plate does, elsewhere only a word for a room: a flat is full of brands and
+    titles. The name printed on one of the `stickers` is that sticker's. `on_picture` hears how many of how many are
+    read.
+    """
+    navigation = place_map.navigation
+    if navigation.calibration.camera is None:
+        return []
+    eye = Eye(navigation)
+    found: list[Sighting] = []
+    views = close_views(navigation, MIN_LANDMARKS, MAX_PICTURES)
+    for n, k in enumerate(views.tolist()):
+        on_picture(n, len(views))
+        try:
+            bgr = decode_picture(navigation.keyframes.encoded[k], cv2.IMREAD_COLOR)
+        except ValueError:
+            continue  # a damaged picture is reported where maps are checked
+        for line in read(bgr):
+            if not reads_like_a_plate(line.text):
+                continue
+            at = eye.by_landmarks(k, line.corners_px, _plate_around(line.corners_px))
+            if at is None:
+                continue
+            p_map, p_camera = eye.to_map(k, at[0])
+            if words.number_of(line.text) is None and door_beside(plan, p_map) is None:
+                continue
+            name = line.text.capitalize() if line.text.isupper() else line.text
+            seen = Sighting("door plate", name, PLAIN_TRUST, k, line.corners_px, p_map, p_camera, at[1])
+            if not any(seen.is_near(sticker, plan.unit) for sticker in stickers):
+                found.append(seen)
+    return found
+
+
+def reads_like_a_plate(text: str) -> bool:
+    """A few words or a number, as "Kitchen", "Room 2.14" and "2.14" are, and no address, price or sentence."""
+    signs = text.replace(" ", "")
+    usual = sum(c.isalnum() for c in signs)
+    return (
+        1 < len(text) <= MAX_READ
+        and is_printable(text)
+        and len(text.split()) <= MAX_WORDS
+        and usual > len(signs) / 2
+        and not any(c in text for c in ":=/@<>{}\\%€$£")
+    )
+
+
+def _plate_around(corners_px: FloatArray) -> FloatArray:
+    """(4, 2) the line of text with its own height more on each side: the plate that it is printed on."""
+    a, b, c, d = corners_px
+    down = (d - a + c - b) / 2
+    across = (b - a + c - d) / 2
+    along = across / max(float(np.linalg.norm(across)), 1e-9) * float(np.linalg.norm(down))
+    return np.array([a - down - along, b - down + along, c + down + along, d + down - along])

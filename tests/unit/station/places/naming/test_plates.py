@@ -1,0 +1,121 @@
+"""A printed word names the room behind the door that it hangs beside, a word for a room the one that it hangs in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from station.model.floor_plan import NameSuggestion
+from station.model.frames import ImageArray
+from station.places.naming import suggest
+from station.places.naming.close_views import close_views
+from station.places.naming.plates import find_plates, reads_like_a_plate
+from station.places.naming.room_words import default_words
+from station.places.naming.sightings import suggestions
+from station.places.naming.suggest import suggest_names
+from station.places.rooms.planning import with_plan, with_suggestions_of
+from station.vision.printed import PrintedLine, PrintReader
+from tests.support.plans import WALL_X, two_rooms
+from tests.support.plates import map_of_walls, plate_picture
+from tests.support.stickers import sticker_picture
+
+BESIDE_DOOR_Y, FAR_FROM_DOOR_Y = 0.7, 1.3  # along the wall between the rooms; the door ends at 0.45
+FAR = (5.4, 1.0)  # in the kitchen, 1.5 m before its outer wall, whose door is beyond reach of the plate
+
+
+@pytest.fixture(scope="module")
+def reader() -> PrintReader:
+    return PrintReader()
+
+
+def read_by(reader: PrintReader, *plates: tuple[str, tuple[float, float]]) -> tuple[NameSuggestion, ...]:
+    """Plates that are read from 1.5 m before them."""
+    place_map = map_of_walls([plate_picture(text) for text, _ in plates], [xy for _, xy in plates], [1.5] * len(plates))
+    plan = two_rooms()
+    return suggestions(find_plates(place_map, plan, default_words(), reader), plan)
+
+
+@pytest.mark.computing
+@pytest.mark.parametrize("text", ["Kitchen", "Room 2.14", "Anna"])
+def test_a_plate_beside_a_door_names_the_room_behind_it(reader: PrintReader, text: str) -> None:
+    (found,) = read_by(reader, (text, (WALL_X - 1.5, BESIDE_DOOR_Y)))
+    assert (found.room, found.name, found.source, found.keyframe_index) == ("room-k", text, "door plate", 0)
+    assert "beside the door to here" in found.reason and "1.5 m" in found.reason
+    assert found.corners_px is not None and abs(found.corners_px.mean(axis=0) - [319.5, 239.5]).max() < 6
+
+
+@pytest.mark.computing
+def test_a_word_for_a_room_away_from_doors_names_the_room_that_it_hangs_in(reader: PrintReader) -> None:
+    (found,) = read_by(reader, ("KITCHEN", FAR))
+    assert (found.room, found.name) == ("room-k", "Kitchen") and "hangs here" in found.reason
+
+
+@pytest.mark.computing
+def test_other_words_away_from_doors_name_nothing(reader: PrintReader) -> None:
+    assert read_by(reader, ("Panasonic", FAR), ("Room 2.14", (WALL_X - 1.5, FAR_FROM_DOOR_Y))) == ()
+
+
+@pytest.mark.computing
+def test_a_plate_beside_a_door_that_nobody_went_through_names_nothing(reader: PrintReader) -> None:
+    assert read_by(reader, ("Office", (5.5, 0.7))) == ()
+
+
+@pytest.mark.computing
+def test_a_name_printed_on_a_sticker_is_the_stickers(reader: PrintReader) -> None:
+    """The page that `station stickers` prints says the name beneath the code, and hangs inside the room."""
+    hangs = (WALL_X - 1.5, BESIDE_DOOR_Y)
+    both = map_of_walls([sticker_picture("Parlour", 1.5), plate_picture("Parlour")], [hangs] * 2, [1.5] * 2)
+    (found,) = suggest_names(both, two_rooms())
+    assert (found.source, found.room) == ("sticker", "room-l")
+
+
+@pytest.mark.computing
+def test_a_plan_made_again_leaves_a_plate_with_the_room_behind_the_door(reader: PrintReader) -> None:
+    place_map = map_of_walls([plate_picture("Pantry")], [(WALL_X - 1.5, BESIDE_DOOR_Y)], [1.5])
+    plan = two_rooms()
+    found = suggestions(find_plates(place_map, plan, default_words(), reader), plan)
+    flat = with_plan(place_map, plan)
+    (again,) = with_suggestions_of(flat, "door plate", found).suggestions
+    assert (again.room, again.confidence) == ("room-k", found[0].confidence)
+
+
+def test_a_plate_whose_distance_nobody_knows_names_nothing() -> None:
+    place_map = map_of_walls([plate_picture("Pantry")], [(WALL_X - 1.5, BESIDE_DOOR_Y)], [1.5])
+
+    def in_a_corner(_: ImageArray) -> list[PrintedLine]:
+        return [PrintedLine("Pantry", np.array([[-90.0, -90], [-60, -90], [-60, -80], [-90, -80]]))]
+
+    assert find_plates(place_map, two_rooms(), default_words(), in_a_corner) == []
+
+
+def test_without_the_extra_nothing_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(suggest, "can_read_print", lambda: False)
+    place_map = map_of_walls([plate_picture("Pantry")], [(WALL_X - 1.5, BESIDE_DOOR_Y)], [1.5])
+    assert suggest_names(place_map, two_rooms()) == ()
+
+
+def test_each_thing_is_read_once_and_from_nearby() -> None:
+    """A wall seen from 3 m and from 1.5 m, and another one seen twice from one spot."""
+    place_map = map_of_walls([b""] * 4, [(0.0, 0.0), (1.5, 0.0), (9.0, 0.0), (9.0, 0.0)], [1.5] * 4)
+    landmarks = place_map.navigation.landmarks
+    n = int((landmarks.observed_keyframe == 1).sum())
+    seen_twice = replace(landmarks, observed_landmark=np.concatenate([np.arange(n, 3 * n), np.arange(n, 3 * n)]))
+    seen_twice = replace(seen_twice, observed_keyframe=np.repeat([0, 2, 1, 3], n))
+    navigation = replace(place_map.navigation, landmarks=seen_twice)
+    assert close_views(navigation, 4, 10).tolist() == [1, 2]
+    assert close_views(navigation, 4, 1).tolist() == [1]
+    assert close_views(navigation, n + 1, 10).tolist() == []
+
+
+@pytest.mark.parametrize("text", ["Kitchen", "Room 2.14", "2.14", "WC", "Dr. A. Smith", "Kid's room"])
+def test_plates_read_like_plates(text: str) -> None:
+    assert reads_like_a_plate(text)
+
+
+@pytest.mark.parametrize(
+    "text", ["a", "1.99 €", "https://x.org", "30 %", "keep this door closed at night", "***!--", ""]
+)
+def test_what_is_no_plate_does_not(text: str) -> None:
+    assert not reads_like_a_plate(text)
