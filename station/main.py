@@ -54,6 +54,10 @@ COMMANDS = {
         "stickers",
         "Write stickers that name rooms: a code that the robot reads from 1.5 m and further, the name beneath.",
     ),
+    "labels": (
+        "labels",
+        "Suggest names for a map's rooms by a model of yours: each view votes. Nothing is named until you accept it.",
+    ),
     "slam": ("slam", "Reconstruct trajectory and landmarks of one recorded navigation."),
     "access": ("access", "Who may use this station."),
     "map": ("map", "Places, their graph and their names."),

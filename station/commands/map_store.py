@@ -217,13 +217,17 @@ def open_map(which: str, data: Path | None, config: Path | None) -> PlaceMap:
     Raises:
         DataError: there is none, or it is damaged.
     """
-    folder = Path(which)
-    is_path = len(folder.parts) > 1  # a folder in the working directory may have the id of a map by chance
-    if (folder / "map.json").is_file() or (is_path and folder.is_dir()):
-        return load_map_folder(folder)
-    if is_path:
+    if is_folder(which):
+        return load_map_folder(Path(which))
+    if len(Path(which).parts) > 1:
         raise DataError(f"{which} is no folder; give one written by `station map build`, or the id of a map")
     return open_store(data, config).load(which)
+
+
+def is_folder(which: str) -> bool:
+    """Whether a map is given by its folder; one in the working directory may have the id of a map by chance."""
+    folder = Path(which)
+    return (folder / "map.json").is_file() or (len(folder.parts) > 1 and folder.is_dir())
 
 
 def existing_store(data: Path | None, config: Path | None, found: list[str] | None = None) -> MapStore:

@@ -49,10 +49,7 @@ class Arrays:
     def read(self, name: str) -> npt.NDArray[Any]:
         """An array, read-only. Raises one of UNREADABLE."""
         with self.open(name) as (header, file):
-            data = file.read(header.num_bytes)
-            if file.read(1):  # the checksum is compared at the end only
-                raise ValueError(f"{name} is longer than it says")
-        return np.frombuffer(data, header.dtype).reshape(header.shape, order="F" if header.in_columns else "C")
+            return _read_values(file, name, header)
 
 
 @contextlib.contextmanager
@@ -63,6 +60,20 @@ def open_arrays(file: IO[bytes]) -> Iterator[Arrays]:
         for member in archive.infolist():
             unpacking.take(member.file_size)
         yield Arrays(archive)
+
+
+def read_array(file: IO[bytes]) -> npt.NDArray[Any]:
+    """The array of a .npy file, read-only. Raises one of UNREADABLE."""
+    size = file.seek(0, os.SEEK_END)
+    file.seek(0)
+    return _read_values(file, "the array", _read_header(file, "the array", size))
+
+
+def _read_values(file: IO[bytes], name: str, header: ArrayHeader) -> npt.NDArray[Any]:
+    data = file.read(header.num_bytes)
+    if file.read(1):  # the checksum is compared at the end only
+        raise ValueError(f"{name} is longer than it says")
+    return np.frombuffer(data, header.dtype).reshape(header.shape, order="F" if header.in_columns else "C")
 
 
 def _read_header(file: IO[bytes], name: str, num_bytes: int) -> ArrayHeader:
