@@ -58,9 +58,10 @@ def find_plates(
             if at is None:
                 continue
             p_map, p_camera = eye.to_map(k, at[0])
-            if words.number_of(line.text) is None and door_beside(plan, p_map) is None:
+            word = words.spelled(line.text)
+            if word is None and door_beside(plan, p_map) is None:
                 continue
-            name = line.text.capitalize() if line.text.isupper() else line.text
+            name = word or line.text
             seen = Sighting("door plate", name, PLAIN_TRUST, k, line.corners_px, p_map, p_camera, at[1])
             if not any(seen.is_near(sticker, plan.unit) for sticker in stickers):
                 found.append(seen)

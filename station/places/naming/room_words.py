@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+import unicodedata
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -17,6 +18,12 @@ DEFAULT = Path(__file__).with_suffix(".toml")
 MAX_FILE_BYTES, MAX_ROOMS = 1_000_000, 1000
 MAX_NAME, MAX_PHRASE = 80, 300  # characters: of a room's name in a map, and what CLIP's 77 tokens hold at most
 _NUMBER = re.compile(r"[\s.#-]*\d[\d./-]*$")
+
+
+def _folded(text: str) -> str:
+    """Without upper case and accents, which a reader of printed words gets wrong."""
+    apart = unicodedata.normalize("NFKD", text.casefold())
+    return "".join(c for c in apart if not unicodedata.combining(c))
 
 
 class RoomWord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -41,8 +48,21 @@ class RoomWords(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def number_of(self, text: str) -> int | None:
         """Which of `rooms` a text names, as "KITCHEN" or "Bedroom 2" do; None: none of them."""
-        spelled = {s.casefold(): n for n, word in enumerate(self.rooms) for s in (*word.written, word.name)}
-        return spelled.get(text.casefold(), spelled.get(_NUMBER.sub("", text).casefold()))
+        found = self._found(text)
+        return None if found is None else found[0]
+
+    def spelled(self, text: str) -> str | None:
+        """A text that names a room in the list's own spelling, as "Küche 2" for "KUCHE 2"; None: it names none."""
+        found = self._found(text)
+        return None if found is None else found[1]
+
+    def _found(self, text: str) -> tuple[int, str] | None:
+        spellings = {_folded(s): (n, s) for n, word in enumerate(self.rooms) for s in (*word.written, word.name)}
+        if (whole := spellings.get(_folded(text))) is not None:
+            return whole
+        word = _NUMBER.sub("", text)
+        found = spellings.get(_folded(word))
+        return None if found is None else (found[0], found[1] + text[len(word) :])
 
 
 @cache
@@ -83,7 +103,7 @@ def _complaints(words: RoomWords) -> Iterator[str]:
             yield f'"{phrase[:40]}" needs 1 to {MAX_PHRASE} characters'
     spelled: dict[str, str] = {}
     for word in words.rooms:
-        for text in {s.casefold() for s in (*word.written, word.name)}:
+        for text in {_folded(s) for s in (*word.written, word.name)}:
             if text in spelled:
                 yield f'"{text}" is written for {spelled[text]} and for {word.name}; leave it out of one of them'
             spelled[text] = word.name

@@ -21,6 +21,16 @@ def test_the_list_that_is_shipped_knows_rooms_in_several_languages_and_with_numb
     assert word_of("Kitchenware") is None and word_of("2") is None and word_of("Room 2.14") is None
 
 
+def test_a_word_that_was_read_without_its_accents_is_spelled_as_in_the_list() -> None:
+    spelled = default_words().spelled
+    assert [spelled(text) for text in ("KUCHE 2", "Gáste-WC", "BEDROOM", "Panasonic")] == [
+        "Küche 2",
+        "Gäste-WC",
+        "Bedroom",
+        None,
+    ]
+
+
 def test_every_shipped_word_says_what_it_looks_like() -> None:
     assert len(default_words().rooms) >= 7 and default_words().nothing.looks_like
     assert all(word.looks_like for word in default_words().rooms)
