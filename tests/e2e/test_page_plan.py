@@ -22,6 +22,7 @@ async def test_a_room_is_named_by_clicking_into_it_and_by_a_suggestion(room: Roo
     await page.keyboard.press("Enter")
     await expect(page.locator(".plan-names text[data-room=room-l]")).to_have_text("Lounge")
     await page.locator(".plan-room[data-room=room-k]").press("Enter")
+    await expect(page.locator("#room-dialog .suggestions .source")).to_have_text("sticker · 98 %")
     await page.locator("#room-dialog").get_by_role("button", name="Use it").click()
     await expect(page.locator(".plan-names text[data-room=room-k]")).to_have_text("Kitchen")
     await page.locator("#toast").get_by_role("button", name="Undo").click()

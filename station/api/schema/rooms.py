@@ -26,7 +26,7 @@ class NameSuggestionModel(Model):
     name: str = Field(examples=["Kitchen"])
     source: SuggestionSource
     confidence: float = Field(description="0..1", examples=[0.98])
-    reason: str = Field(examples=["a sticker in this room says Kitchen"])
+    reason: str = Field(examples=['A sticker that reads "Kitchen" hangs here: one picture shows it, from 1.4 m.'])
     image: str | None = Field(description="the picture that shows it", examples=["/maps/map-0a1b/images/17.jpg"])
     corners_px: list[Point] | None = Field(description="where in that picture")
 
@@ -41,7 +41,7 @@ class RoomModel(Model):
     middle: Point = Field(description="x, y on the plan: a free spot far from its walls")
     doors: list[str] = Field(description="ids of the doors that lead out of it")
     places: list[PlaceName] = Field(description="its places that are not hidden")
-    suggestions: list[NameSuggestionModel] = Field(description="names that something seen speaks for")
+    suggestions: list[NameSuggestionModel] = Field(description="names that something seen speaks for, the surest first")
 
 
 class DoorModel(Model):
@@ -120,7 +120,7 @@ def room_model(active: ActiveMap, room: Room) -> RoomModel:
         ],
         suggestions=[
             _suggestion_model(active, suggestion)
-            for suggestion in active.place_map.suggestions
+            for suggestion in sorted(active.place_map.suggestions, key=lambda s: -s.confidence)
             if suggestion.room == room.id and suggestion.name.casefold() != room.name.casefold()
         ],
     )

@@ -899,7 +899,7 @@ export interface RoomModel {
   doors: string[];
   /** its places that are not hidden */
   places: PlaceName[];
-  /** names that something seen speaks for */
+  /** names that something seen speaks for, the surest first */
   suggestions: NameSuggestionModel[];
 }
 

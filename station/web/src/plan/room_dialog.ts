@@ -52,6 +52,13 @@ export async function openRoom(id: string, plan: FloorPlanModel): Promise<void> 
   input.focus();
 }
 
+const SOURCES: Record<NameSuggestionModel["source"], string> = {
+  sticker: "sticker",
+  "door plate": "printed word",
+  model: "model",
+  "other map": "another map",
+};
+
 function suggestions(all: NameSuggestionModel[], use: (name: string) => void): HTMLElement {
   return make(
     "ul",
@@ -60,12 +67,18 @@ function suggestions(all: NameSuggestionModel[], use: (name: string) => void): H
       make(
         "li",
         {},
-        s.image !== null && make("img", { src: s.image, alt: `The picture that speaks for ${s.name}` }),
+        s.image !== null &&
+          make(
+            "a",
+            { href: s.image, target: "_blank", rel: "noopener", title: "The whole picture" },
+            make("img", { src: s.image, alt: `The picture that speaks for ${s.name}` }),
+          ),
         make(
           "div",
           {},
           make("strong", {}, s.name),
-          make("p", { class: "note" }, `${s.reason} (${percent(s.confidence)})`),
+          make("span", { class: "source" }, `${SOURCES[s.source]} · ${percent(s.confidence)}`),
+          make("p", { class: "note" }, s.reason),
         ),
         make("button", { type: "button", class: "small", onclick: () => use(s.name) }, "Use it"),
       ),
