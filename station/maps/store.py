@@ -146,6 +146,18 @@ class MapStore:
         summaries += [MapSummary(map_id, map_id, 0, damaged=why) for map_id, why in self.contents.not_imported.items()]
         return tuple(sorted(summaries, key=lambda s: (s.name, s.id)))
 
+    def records(self) -> tuple[MapRecord, ...]:
+        """The newest version of every map that is not deleted and can be read, the one changed last first."""
+        if not self.open():
+            return ()
+        with self.reading() as connection:
+            rows = [row for row in versions.newest_of_all(connection) if row.kind != "deleted"]
+        found = []
+        for row in rows:
+            with contextlib.suppress(Damaged):  # `list` tells of it
+                found.append(self.contents.record(row))
+        return tuple(sorted(found, key=lambda record: -record.created_ms))
+
     def history(self, map_id: str) -> tuple[MapRecord, ...]:
         """The versions of a map that can be read, the newest first. Raises DataError when there is none of this id."""
         rows = self._history(map_id)

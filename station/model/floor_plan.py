@@ -66,7 +66,7 @@ class NameSuggestion:
     reason: str  # a sentence for a person
     keyframe_index: int | None = None  # of the map: the picture that shows it
     corners_px: FloatArray | None = None  # (4, 2) where in that picture
-    p_map: FloatArray | None = None  # (3,) where what speaks for it is; None: in records from before it was noted
+    p_map: FloatArray | None = None  # (3,) where what speaks for it is; None: the room does, or nobody noted it
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,11 +20,13 @@ from station.datasets import open_dataset
 from station.files.navigation_folder import PICTURES, load_navigation, save_navigation
 from station.files.unwritable import cannot_write, why_unwritable
 from station.maps.store import MapStore
+from station.model.floor_plan import NameSuggestion
 from station.model.map_store import StoreAddress
 from station.model.navigation import Navigation, NavigationReport
 from station.model.place_map import PlaceGrain, PlaceMap
 from station.model.slam_update import SlamUpdate
 from station.places.joining.growing import keep_places
+from station.places.joining.known_names import names_in, surest_of_each
 from station.places.joining.merge import merge_navigations
 from station.places.localisation.described_pictures import DescribedPictures
 from station.places.localisation.index_file import index_of
@@ -38,6 +40,8 @@ from station.workers.calibration_interface import RECORDING, RESIDUALS, RESULT, 
 from station.workers.executors.opening import open_executor
 from station.workers.library_interface import BuiltMap, LibraryProgram, Progress
 from station.workers.mapping import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
+
+MAX_OTHER_MAPS = 3  # that a new one is compared with
 
 
 class LibraryJobs(LibraryProgram):
@@ -69,12 +73,33 @@ class LibraryJobs(LibraryProgram):
         draft = _taking_over(place_map, store.newest_of_navigation(first))
         self._emit(Progress(0.75, "looking for stickers that name rooms"))
         found = with_suggestions(draft, lambda text: self._emit(Progress(0.75, text))).suggestions
+        found += self._names_elsewhere(store, draft, config)
         place_map = replace(place_map, suggestions=found)
         self._emit(Progress(0.8, f"saving {_count(len(draft.places), 'place')}"))
         # That took long: what people did to places and rooms meanwhile is taken over, too.
         place_map = store.rebuild(place_map, first, _taking_over, f"built from {place_map.navigation.id}"[:200])
         self._built = place_map
         return BuiltMap(place_map.id, place_map.name, len(place_map.places))
+
+    def _names_elsewhere(self, store: MapStore, draft: PlaceMap, config: PlacesConfig) -> tuple[NameSuggestion, ...]:
+        """What people called the same rooms in maps of other drives, the latest first."""
+        if config.mode == "thesis" or draft.plan is None:
+            return ()
+        own = set(draft.navigation.id.split("+"))
+        named = [
+            record.map_id
+            for record in store.records()
+            if record.plan is not None and record.plan.edits.names and own.isdisjoint(record.navigation.split("+"))
+        ]
+        found: list[NameSuggestion] = []
+        for map_id in named[:MAX_OTHER_MAPS]:
+            try:
+                other = store.load(map_id)
+            except DataError:
+                continue  # it is told of where maps are listed
+            self._emit(Progress(0.78, f"looking whether {other.name} is of the same rooms"))
+            found += names_in(other, draft, config)
+        return surest_of_each(found)
 
     def index_map(self, folders: list[Path], address: StoreAddress) -> None:
         """The index of the map that was built, where most pictures were described while the robot drove.

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from shared.geometry import FloatArray, inverse_sim3, transform
+from shared.geometry import FloatArray, IntArray, inverse_sim3, transform
 from station.model.floor_plan import NO_ROOM, FloorPlan
 from station.places.rooms.segments import Labels
 
@@ -22,14 +22,7 @@ def inherited(
 
     `T` (4, 4) carries the previous plan's map frame into this one's, and may be a similarity.
     """
-    index = np.argwhere(labels > 0)
-    if not len(index) or not previous.rooms:
-        return {}
-    ground = np.column_stack([low + (index + 0.5) * cell, np.zeros(len(index))])
-    there = previous.rooms_at(transform(inverse_sim3(T), ground @ R))
-    both = there != NO_ROOM
-    shared = np.zeros((count + 1, len(previous.rooms)), dtype=np.int64)
-    np.add.at(shared, (labels[tuple(index[both].T)], there[both]), 1)
+    shared = shared_cells(labels, count, low, cell, R, previous, T)
     taken: dict[int, int] = {}
     for flat in np.argsort(-shared, axis=None, kind="stable"):
         new, old = (int(k) for k in np.unravel_index(flat, shared.shape))
@@ -38,6 +31,19 @@ def inherited(
         if new not in taken and old not in taken.values():
             taken[new] = old
     return taken
+
+
+def shared_cells(
+    labels: Labels, count: int, low: FloatArray, cell: float, R: FloatArray, previous: FloorPlan, T: FloatArray
+) -> IntArray:
+    """(count + 1, len(previous.rooms)) how many cells of each label lie in each room of the previous plan."""
+    shared = np.zeros((count + 1, len(previous.rooms)), dtype=np.int64)
+    index = np.argwhere(labels > 0)
+    ground = np.column_stack([low + (index + 0.5) * cell, np.zeros(len(index))])
+    there = previous.rooms_at(transform(inverse_sim3(T), ground @ R))
+    both = there != NO_ROOM
+    np.add.at(shared, (labels[tuple(index[both].T)], there[both]), 1)
+    return shared
 
 
 def new_id(navigation_id: str, number: int, others: Sequence[str]) -> str:
