@@ -13,9 +13,11 @@ import numpy as np
 import typer
 
 from shared.errors import DataError
+from shared.text import printable
 from station.commands.map_store import MapArgument, is_folder, open_map, open_store
 from station.commands.options import Config, Data, Json
 from station.commands.progress import working
+from station.library.maps import MAX_WHY
 from station.maps.folder import save_map_folder
 from station.model.floor_plan import NameSuggestion
 from station.model.frames import decode_picture
@@ -74,8 +76,9 @@ def labels(
         raise DataError("give --embeddings for a model like CLIP, or --labels for a classifier or detector")
     network = ImageModel(model, pixels or ("clip" if embeddings is not None else "unit"), size)
     votes, took_ms = _look_at(place_map, network, look, pictures)
-    found = suggestions_by_votes(place_map, plan, votes, room_words, model.name)
-    _keep(which, data, config, place_map, found, f"{model.name} looked at the rooms")
+    called_model = printable(model.name)
+    found = suggestions_by_votes(place_map, plan, votes, room_words, called_model)
+    _keep(which, data, config, place_map, found, f"{called_model} looked at the rooms"[:MAX_WHY])
     names = [word.name for word in room_words.rooms]
     latency = {"median": round(float(np.median(took_ms)), 3), "p95": round(float(np.percentile(took_ms, 95)), 3)}
     if as_json:

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.advice import install
 from shared.geometry import FloatArray
 from station.model.frames import ImageArray
 
 MIN_SCORE = 0.9  # plates are read at 0.97 and more, the best false glyph measured was at 0.71
-HOW_TO_GET = f"printed words are read where rapidocr is installed: {install('ocr')}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
