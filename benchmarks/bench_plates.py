@@ -18,7 +18,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from shared.geometry import FloatArray
 from station.model.frames import ImageArray
-from station.places.naming.plates import reads_like_a_plate
+from station.places.naming.plates import plate_name
 from station.places.naming.room_words import default_words
 from station.vision.printed import PrintReader
 
@@ -44,8 +44,8 @@ def main() -> None:
             for seed in range(chosen.first, chosen.first + chosen.tries):
                 rng = np.random.default_rng(seed)
                 text = texts[rng.integers(len(texts))]
-                lines = [line.text for line in read(plate_seen(rng, text, distance, focal))]
-                found = [words.spelled(line) or line for line in lines if reads_like_a_plate(line)]
+                lines = read(plate_seen(rng, text, distance, focal))
+                found = [name for line in lines if (name := plate_name(line, words)) is not None]
                 pictures += 1
                 if "".join(found).replace(" ", "").casefold() == text.replace(" ", "").casefold():
                     right += 1

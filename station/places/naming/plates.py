@@ -20,6 +20,7 @@ from station.places.naming.sightings import MIN_LANDMARKS, PLAIN_TRUST, Eye, Sig
 from station.vision.printed import PrintedLine
 
 MAX_PICTURES = 300  # 0.2 s each: a minute
+SURE_SCORE = 0.97  # the least at which nearby plates were read: small print is misread below it, seldom above
 MAX_WORDS = 4  # of a plate; more are a sentence
 
 Reader = Callable[[ImageArray], list[PrintedLine]]
@@ -52,20 +53,29 @@ def find_plates(
         except ValueError:
             continue  # a damaged picture is reported where maps are checked
         for line in read(bgr):
-            if not reads_like_a_plate(line.text):
+            name = plate_name(line, words)
+            if name is None:
                 continue
             at = eye.by_landmarks(k, line.corners_px, _plate_around(line.corners_px))
             if at is None:
                 continue
             p_map, p_camera = eye.to_map(k, at[0])
-            word = words.spelled(line.text)
-            if word is None and door_beside(plan, p_map) is None:
+            if words.number_of(name) is None and door_beside(plan, p_map) is None:
                 continue
-            name = word or line.text
             seen = Sighting("door plate", name, PLAIN_TRUST, k, line.corners_px, p_map, p_camera, at[1])
             if not any(seen.is_near(sticker, plan.unit) for sticker in stickers):
                 found.append(seen)
     return found
+
+
+def plate_name(line: PrintedLine, words: RoomWords) -> str | None:
+    """The name that a line of text gives, spelled as in the list of words where it is there.
+
+    None: it reads like no plate, or not surely. What is in the list is confirmed by that.
+    """
+    word = words.spelled(line.text)
+    is_sure = word is not None or line.score >= SURE_SCORE
+    return (word or line.text) if is_sure and reads_like_a_plate(line.text) else None
 
 
 def reads_like_a_plate(text: str) -> bool:

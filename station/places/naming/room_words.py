@@ -57,12 +57,13 @@ class RoomWords(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return None if found is None else found[1]
 
     def _found(self, text: str) -> tuple[int, str] | None:
-        spellings = {_folded(s): (n, s) for n, word in enumerate(self.rooms) for s in (*word.written, word.name)}
-        if (whole := spellings.get(_folded(text))) is not None:
-            return whole
         word = _NUMBER.sub("", text)
-        found = spellings.get(_folded(word))
-        return None if found is None else (found[0], found[1] + text[len(word) :])
+        for alike in (str.casefold, _folded):  # "Salon" and "Salón" are two
+            spellings = {alike(s): (n, s) for n, room in enumerate(self.rooms) for s in (*room.written, room.name)}
+            for part in (text, word):
+                if (found := spellings.get(alike(part))) is not None:
+                    return found[0], found[1] + text[len(part) :]
+        return None
 
 
 @cache

@@ -11,7 +11,7 @@ from station.model.floor_plan import NameSuggestion
 from station.model.frames import ImageArray
 from station.places.naming import suggest
 from station.places.naming.close_views import close_views
-from station.places.naming.plates import find_plates, reads_like_a_plate
+from station.places.naming.plates import find_plates, plate_name, reads_like_a_plate
 from station.places.naming.room_words import default_words
 from station.places.naming.sightings import suggestions
 from station.places.naming.suggest import suggest_names
@@ -85,7 +85,7 @@ def test_a_plate_whose_distance_nobody_knows_names_nothing() -> None:
     place_map = map_of_walls([plate_picture("Pantry")], [(WALL_X - 1.5, BESIDE_DOOR_Y)], [1.5])
 
     def in_a_corner(_: ImageArray) -> list[PrintedLine]:
-        return [PrintedLine("Pantry", np.array([[-90.0, -90], [-60, -90], [-60, -80], [-90, -80]]))]
+        return [PrintedLine("Pantry", 1.0, np.array([[-90.0, -90], [-60, -90], [-60, -80], [-90, -80]]))]
 
     assert find_plates(place_map, two_rooms(), default_words(), in_a_corner) == []
 
@@ -107,6 +107,13 @@ def test_each_thing_is_read_once_and_from_nearby() -> None:
     assert close_views(navigation, 4, 10).tolist() == [1, 2]
     assert close_views(navigation, 4, 1).tolist() == [1]
     assert close_views(navigation, n + 1, 10).tolist() == []
+
+
+def test_a_word_that_is_in_the_list_needs_no_further_proof_and_others_do() -> None:
+    nowhere = np.zeros((4, 2))
+    lines = [PrintedLine(text, score, nowhere) for text in ("KUCHE", "Anna") for score in (0.91, 0.98)]
+    assert [plate_name(line, default_words()) for line in lines] == ["Küche", "Küche", None, "Anna"]
+    assert plate_name(PrintedLine("1.99 €", 1.0, nowhere), default_words()) is None
 
 
 @pytest.mark.parametrize("text", ["Kitchen", "Room 2.14", "2.14", "WC", "Dr. A. Smith", "Kid's room"])

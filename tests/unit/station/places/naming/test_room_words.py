@@ -23,11 +23,13 @@ def test_the_list_that_is_shipped_knows_rooms_in_several_languages_and_with_numb
 
 def test_a_word_that_was_read_without_its_accents_is_spelled_as_in_the_list() -> None:
     spelled = default_words().spelled
-    assert [spelled(text) for text in ("KUCHE 2", "Gáste-WC", "BEDROOM", "Panasonic")] == [
+    assert [spelled(text) for text in ("KUCHE 2", "Gáste-WC", "BEDROOM", "Panasonic", "SALON", "Salón")] == [
         "Küche 2",
         "Gäste-WC",
         "Bedroom",
         None,
+        "Salon",
+        "Salón",
     ]
 
 
