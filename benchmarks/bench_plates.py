@@ -1,6 +1,6 @@
 """How far off printed plates are read: warped pictures of words for rooms, oblique, blurred and noisy.
 
-    python -m benchmarks.bench_plates --first 5000 --tries 50
+    python -m benchmarks.bench_plates --first 9000 --tries 50
 
 Needs the extra `ocr`. A plate is read right when the line that is read, spelled as in the list of words, is its text.
 """
@@ -8,7 +8,6 @@ Needs the extra `ocr`. A plate is read right when the line that is read, spelled
 from __future__ import annotations
 
 import argparse
-import time
 from pathlib import Path
 
 import cv2
@@ -16,6 +15,7 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from benchmarks.result import Figure, Run, add_results_option, share
 from shared.geometry import FloatArray
 from station.model.frames import ImageArray
 from station.places.naming.plates import plate_name
@@ -30,29 +30,37 @@ WIDTH, HEIGHT, FINER = 640, 480, 4  # drawn four times as fine, then reduced as 
 FONT_PX, RIM_PX, PLATE_PX = 120, 80, 300
 
 
-def main() -> None:
+def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--first", type=int, default=5000, help="first seed")
-    parser.add_argument("--tries", type=int, default=50)
-    chosen = parser.parse_args()
+    parser.add_argument("--first", type=int, default=9000, help="first seed")
+    parser.add_argument("--tries", type=int, default=50, help="at each distance")
+    add_results_option(parser, "plates")
+    args = parser.parse_args()
+    run = Run.begin()
+    figures: list[Figure] = []
     words = default_words()
     texts = [text for word in words.rooms for text in (word.name, *word.written)] + list(OTHER_PLATES)
-    read, begin_s, pictures = PrintReader(), time.process_time(), 0
+    read = PrintReader()
     for camera, focal in FOCALS_PX.items():
         for distance in DISTANCES_M:
             right, misread = 0, []
-            for seed in range(chosen.first, chosen.first + chosen.tries):
+            for seed in range(args.first, args.first + args.tries):
                 rng = np.random.default_rng(seed)
                 text = texts[rng.integers(len(texts))]
                 lines = read(plate_seen(rng, text, distance, focal))
                 found = [name for line in lines if (name := plate_name(line, words)) is not None]
-                pictures += 1
                 if "".join(found).replace(" ", "").casefold() == text.replace(" ", "").casefold():
                     right += 1
                 elif found:
                     misread.append(f"{text}: {' / '.join(found)}")
-            print(f"{camera}, {distance} m: {right} of {chosen.tries} read, {len(misread)} misread {misread or ''}")
-    print(f"{(time.process_time() - begin_s) / pictures:.2f} s of CPU a picture, drawing it included")
+            print(
+                f"{camera}, {distance} m: {right} of {args.tries} read, {len(misread)} misread {misread or ''}",
+                flush=True,
+            )
+            figures.append(share(f"{camera}, {distance} m: a plate read", right, args.tries))
+            figures.append(share(f"{camera}, {distance} m: a plate misread", len(misread), args.tries))
+    run.write(args.results, figures)
+    return 0
 
 
 def plate_seen(rng: np.random.Generator, text: str, distance_m: float, focal_px: float) -> ImageArray:
@@ -94,4 +102,4 @@ def _turned(yaw_rad: float, pitch_rad: float) -> FloatArray:
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

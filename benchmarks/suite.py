@@ -88,6 +88,7 @@ SUITE = (
     ),
     Benchmark("experiments", PLACES, "bench_experiments", "--seeds 30", None, data=f"{DATA}/redkitchen"),
     Benchmark("stickers", PLACES, "bench_stickers", "--tries 100", "--tries 2"),
+    Benchmark("plates", PLACES, "bench_plates", "--first 9000 --tries 50", "--tries 2"),
     Benchmark("registration", PLACES, "bench_registration", "--first 14000 --pairs 200", "--pairs 1 --set known"),
     Benchmark("appearance", PLACES, "bench_appearance", "--step 2", "--step 20", data=f"{DATA}/redkitchen"),
     Benchmark(

@@ -37,7 +37,9 @@ def register(app: typer.Typer) -> None:
 
 def labels(
     which: MapArgument,
-    model: Annotated[Path, typer.Option("--model", help="An ONNX file: one picture in. It is run, so trust it.")],
+    model: Annotated[
+        Path, typer.Option("--model", help="An ONNX file: one picture in. Run none that you do not trust.")
+    ],
     embeddings: Annotated[
         Path | None,
         typer.Option(help="Of phrases, by the text encoder of a model like CLIP: .npz with `names` and `embeddings`."),
