@@ -148,8 +148,7 @@ def observe(
                 uv_px=measured,
                 xy=lens.unproject(measured),
                 num_tracked=tracked,
-                num_previous=before,
-                num_vanished=0,
+                brightness=100.0,
             )
         )
     return tuple(frames)

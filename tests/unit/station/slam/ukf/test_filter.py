@@ -14,7 +14,7 @@ from station.motion.error_coordinates import ErrorKind, difference_group, pose_j
 from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import ImuSegment
 from station.slam.ukf.filter.config import FilterConfig
-from station.slam.ukf.filter.constraints import BodyVelocity, SamePlace, WheelConfig, wheel_velocity
+from station.slam.ukf.filter.constraints import BodyVelocity, Rolled, SamePlace, WheelConfig, wheel_velocity
 from station.slam.ukf.filter.filter import VioFilter
 from station.slam.ukf.filter.landmarks import measure_landmarks
 from station.slam.ukf.filter.measurement import linearise, regress
@@ -257,7 +257,7 @@ def test_body_velocity_row_is_the_finite_difference(kind: ErrorKind) -> None:
 def test_wheel_velocity_row_is_the_finite_difference(kind: ErrorKind) -> None:
     config = WheelConfig()
     state = add_wheels(random_state(17), np.array([0.9, 0.03]), np.array([0.1, 0.05]))
-    constraint = wheel_velocity(config, state.wheels, 0.6, 0.4, 1.0)
+    constraint = wheel_velocity(config, state.wheels, 0.6, Rolled(0.4, 0.0))
     assert constraint is not None
     rows = replace(constraint, sigma=np.ones(3), gate=np.inf).rows(state, kind)
     h = 1e-6
