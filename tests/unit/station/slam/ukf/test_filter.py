@@ -253,6 +253,18 @@ def test_body_velocity_row_is_the_finite_difference(kind: ErrorKind) -> None:
         assert np.allclose(A[:, column], (a.R.T @ a.v - b.R.T @ b.v) / (2 * h), atol=1e-6)
 
 
+def test_wheels_are_believed_less_while_they_follow_a_new_command() -> None:
+    config, constants = WheelConfig(), np.array([0.96, 0.02])
+    steady = wheel_velocity(config, constants, 0.0, Rolled(0.4, 0.0))
+    changing = wheel_velocity(config, constants, 0.0, Rolled(0.2, 0.2))
+    assert steady is not None and changing is not None
+    assert steady.sigma[0] == pytest.approx(config.sigma_speed_m_s + config.sigma_speed_share * 0.4)
+    assert changing.v_body[0] == pytest.approx(0.96 * 0.2)
+    assert changing.sigma[0] > config.sigma_lag_share * 0.2
+    unknown = wheel_velocity(config, constants, 0.0, None)
+    assert unknown is not None and np.isinf(unknown.sigma[0])
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_wheel_velocity_row_is_the_finite_difference(kind: ErrorKind) -> None:
     config = WheelConfig()
