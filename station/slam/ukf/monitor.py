@@ -44,7 +44,9 @@ class TrackingMonitor:
         config = self._config
         if not is_finite(state):
             return "the estimate stopped making sense"
-        if self._blind_for_s(frame, t_imu_ns, has_wheels) > (config.max_covered_s if has_wheels else config.max_outage_s):
+        if self._blind_for_s(frame, t_imu_ns, has_wheels) > (
+            config.max_covered_s if has_wheels else config.max_outage_s
+        ):
             return "the image shows nothing to follow"
         if has_wheels:
             climbs = abs(float(state.v[2])) > config.max_climb_m_s

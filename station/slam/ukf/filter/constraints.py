@@ -118,7 +118,9 @@ class WheelConfig:
     sigma_turning_centre_m: float = 0.05
     sigma_speed_share: float = 0.08
     sigma_speed_m_s: float = 0.02
-    sigma_lag_share: float = 0.5  # of what the motors have still to make of a change: their lag is known as well as that
+    sigma_lag_share: float = (
+        0.5  # of what the motors have still to make of a change: their lag is known as well as that
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
