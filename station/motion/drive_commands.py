@@ -22,8 +22,7 @@ SPEED_EFFICIENCY = 0.97
 # While a robot is followed, a command counts this long at most: where none comes any more, the robot has stopped by
 # itself. In a recorded navigation every command holds until the next one, since what the robot did is all there.
 COMMAND_HOLD_S = 0.5
-# From the end of motion in the commands to the body at rest: the motors' lag four times over. Longer than the filter
-# waits before it believes a new speed (WheelConfig.settle_s), because here the last centimetre per second counts.
+# From the end of motion in the commands to the body at rest: the motors' lag four times over.
 REST_AFTER_S = 0.7
 MIN_COMMAND = 1e-3  # m/s or rad/s; less moves nothing
 
@@ -44,6 +43,11 @@ class WheelSpeed:
         self._t_ns: float = -math.inf
         self._target = 0.0
         self._until_ns: float = -math.inf  # when the command ends by itself
+
+    @property
+    def missing_m_s(self) -> float:
+        """What the wheels have still to make of the command's change: they lag behind it."""
+        return self._target - self.speed_m_s
 
     def add_drive(self, drive: DriveSample) -> None:
         """A command, from its time on; from now on where it came late."""

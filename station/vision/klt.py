@@ -15,7 +15,6 @@ from station.vision.two_view import epipolar_inliers
 
 PointsArray = npt.NDArray[np.float32]  # (N, 1, 2), OpenCV's shape of points
 LK_EPSILON_PX = 0.02  # the last step; half of it would take half as much time again, for what no filter can see
-VANISHING_BORDER = 0.08  # of the width: a robot that drives on takes features nearer to the border out of the picture
 SUBPIX_WINDOW = (4, 4)
 SUBPIX_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 10, 0.02)
 
@@ -44,8 +43,7 @@ class TrackedFrame:
     uv_px: FloatArray  # (N, 2) as measured, distorted
     xy: FloatArray  # (N, 2) normalised, undistorted
     num_tracked: int  # of the previous frame's features, how many were found again
-    num_previous: int  # features the previous frame had
-    num_vanished: int  # of those not found again: how many the camera's rotation left well inside the picture
+    brightness: float  # mean grey value of the image
 
 
 class Tracker:
@@ -95,10 +93,8 @@ class Tracker:
         """
         rng = np.random.default_rng([self._seed, self._num_frames])
         self._num_frames += 1
-        num_previous = len(self._ids)
-        num_vanished = 0
-        if self._previous is not None and num_previous:
-            num_vanished = self._follow(self._previous, grey, R_prev_cur, is_bias_known, rng)
+        if self._previous is not None and len(self._ids):
+            self._follow(self._previous, grey, R_prev_cur, is_bias_known, rng)
         num_tracked = len(self._ids)
         if num_tracked < self.config.redetect_below * self.config.num_features:
             self._add_corners(grey)
@@ -108,8 +104,7 @@ class Tracker:
             uv_px=self._uv.copy(),
             xy=self._xy.copy(),
             num_tracked=num_tracked,
-            num_previous=num_previous,
-            num_vanished=num_vanished,
+            brightness=float(grey.mean()),
         )
 
     def _follow(
@@ -119,8 +114,8 @@ class Tracker:
         R_prev_cur: FloatArray,
         is_bias_known: bool,
         rng: np.random.Generator,
-    ) -> int:
-        """Move every track into the new image or end it; returns how many vanished."""
+    ) -> None:
+        """Move every track into the new image or end it."""
         config = self.config
         predicted_xy, in_front = self._rotate(self._xy, R_prev_cur.T)
         predicted_uv = np.where(in_front[:, None], self.lens.project(predicted_xy), self._uv)
@@ -147,10 +142,7 @@ class Tracker:
         inlier = epipolar_inliers(self._xy[index], xy, R_prev_cur, threshold_px / self.lens.camera.fx, rng)
         inlier &= self.lens.is_invertible(uv[index], xy)
         index, xy = index[inlier], xy[inlier]
-        stays = in_front & self.lens.is_inside(predicted_uv, VANISHING_BORDER * self.lens.camera.width)
-        num_vanished = int(np.count_nonzero(stays)) - int(np.count_nonzero(stays[index]))
         self._ids, self._uv, self._xy = self._ids[index], uv[index], xy
-        return num_vanished
 
     def _rotate(self, xy: FloatArray, R: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Normalised coordinates after a rotation, and which of them stay well in front of the camera."""

@@ -99,6 +99,16 @@ def test_tracking_starts_again_as_a_new_segment(run: tuple[Navigation, list[tupl
     assert any("nothing to follow" in message for message in nav.report.messages)
 
 
+def test_under_a_cover_the_wheels_go_on(run: tuple[Navigation, list[tuple[float, SlamUpdate]]]) -> None:
+    """Commands come between all frames: what the wheels roll before each of them counts."""
+    _, updates = run
+    seen = [(t, u.T_world_body[:3, 3], u.segment) for t, u in updates if u.T_world_body is not None]
+    t_before, x_before, _ = next(s for s in seen if s[0] > COVERED_S[0] - 2 * FRAME_S)
+    t_after, x_after, _ = next(s for s in seen if s[2] == 1)
+    rolled_m = 0.96 * 0.15 * (t_after - t_before)  # of the simulated body; by a tenth of a radian less on its arc
+    assert float(np.linalg.norm(x_after - x_before)) == pytest.approx(rolled_m, rel=0.1)
+
+
 def test_a_hijack_is_tracking_lost_within_two_seconds(
     run: tuple[Navigation, list[tuple[float, SlamUpdate]]],
 ) -> None:

@@ -129,7 +129,6 @@ def observe(
         near_axis = np.abs(xy).max(axis=1) < 1.2
         uv = lens.project(np.where(near_axis[:, None], xy, 0.0))
         visible = front & near_axis & lens.is_inside(uv, 5.0)
-        before = int(alive.sum())
         alive &= visible & (rng.uniform(size=len(points)) > loss)
         tracked = int(alive.sum())
         fresh = np.flatnonzero(visible & ~alive)
@@ -148,8 +147,7 @@ def observe(
                 uv_px=measured,
                 xy=lens.unproject(measured),
                 num_tracked=tracked,
-                num_previous=before,
-                num_vanished=0,
+                brightness=100.0,
             )
         )
     return tuple(frames)

@@ -110,8 +110,11 @@ def map_with_motions(
     rays = stood_still(turned, rows, state, kept, camera)
     loops = find_loops(features, rays, state, kept, T_body_cam, camera.fx, odometry.drift, config.matching)
     if loops:
+        # What did not fit its neighbours does not come back while residuals are wide.
+        state, kept = refine(
+            state, build_tracks(counts, [*agreed(verified, kept, counts), *loops]), rays, odometry, camera, LOOP_SCALES
+        )
         tracks = build_tracks(counts, [*verified, *loops])
-        state, kept = refine(state, tracks, rays, odometry, camera, LOOP_SCALES)
         rays = stood_still(turned, rows, state, kept, camera)
     state, kept = refine(state, tracks, rays, odometry, camera, LAST_SCALES)
     return odometry_map(state, kept, rays, camera, len(loops), len(verified))
@@ -173,6 +176,18 @@ def stood_still(
     v_cam = np.array([r.v_cam for r in rows])[tracks.keyframe]
     out[at] = moved_back(out[at], depth, delay_s, v_cam)
     return np.split(out, first[1:-1])
+
+
+def agreed(matches: Sequence[Pairs], tracks: Tracks, counts: Sequence[int]) -> list[Pairs]:
+    """The pairs of each match whose two features show one landmark of these tracks."""
+    first = np.concatenate([[0], np.cumsum(counts)])
+    shown = np.full(first[-1], -1, dtype=np.int64)
+    shown[first[tracks.keyframe] + tracks.feature] = tracks.point
+    out: list[Pairs] = []
+    for a, b, pairs in matches:
+        of_a, of_b = shown[first[a] + pairs[:, 0]], shown[first[b] + pairs[:, 1]]
+        out.append((a, b, pairs[(of_a >= 0) & (of_a == of_b)]))
+    return out
 
 
 def verify_by_gyro(

@@ -50,10 +50,8 @@ class LandmarkTable:
         names = np.array([self._other_name.get(int(i), int(i)) for i in tracked.ids], dtype=np.int64)
         _, first = np.unique(names, return_index=True)
         keep = np.sort(first)
-        return TrackedFrame(
-            names[keep], tracked.uv_px[keep], tracked.xy[keep],
-            tracked.num_tracked, tracked.num_previous, tracked.num_vanished,
-        )  # fmt: skip
+        uv_px, xy = tracked.uv_px[keep], tracked.xy[keep]
+        return TrackedFrame(names[keep], uv_px, xy, tracked.num_tracked, tracked.brightness)
 
     def add(self, numbers: IntArray, p_world: FloatArray, cov: FloatArray, patches: Patches, keyframe: int) -> None:
         """New landmarks, as they looked in their newest view."""

@@ -25,7 +25,7 @@ from station.motion.imu_buffer import IN_THE_AIR, ON_WHEELS, ImuBuffer
 from station.motion.preintegration import ImuSegment
 from station.slam.mapping.intake import FrameIntake
 from station.slam.ukf.config import UkfConfig
-from station.slam.ukf.filter.constraints import BodyVelocity, Standstill, WheelsKnown, wheel_velocity
+from station.slam.ukf.filter.constraints import BodyVelocity, Rolled, Standstill, WheelsKnown, wheel_velocity
 from station.slam.ukf.filter.filter import SoftConstraint, VioFilter
 from station.slam.ukf.filter.head import ServosKnown
 from station.slam.ukf.filter.state import NO_HEAD, FilterState, add_wheels
@@ -36,7 +36,15 @@ from station.slam.ukf.map.views import MapViews
 from station.slam.ukf.memory import NavigationMemory, Points, RecentFrame
 from station.slam.ukf.monitor import CONTRADICTION, LIFTED, TrackingMonitor
 from station.slam.ukf.start.coasting import Coasting
-from station.slam.ukf.start.starter import ORIGIN, Anchor, GivenState, Starter, WaitingFrame, state_from_given
+from station.slam.ukf.start.starter import (
+    ORIGIN,
+    SIGMA_V_ROLLING,
+    Anchor,
+    GivenState,
+    Starter,
+    WaitingFrame,
+    state_from_given,
+)
 from station.slam.ukf.start.stillness import StillnessDetector
 from station.vision.camera_model import CameraModel
 from station.vision.features import Features
@@ -86,9 +94,9 @@ class UkfBackend:
         self._coasting = Coasting(ORIGIN, 0)
         self._is_lifted = False  # the robot was when tracking was lost
         self._drive: DriveSample | None = None  # the newest command
-        self._speed_since = 0  # when the commanded speed last changed
         # Recordings have changes of the command only, and a robot reports its rest.
         self._wheel_speed = WheelSpeed(hold_s=math.inf, efficiency=1.0)
+        self._way_m = 0.0  # of the wheels, at the frame before
         self._wheels_known = WheelsKnown.before_the_drive(self._config.wheels)
         self._previous_t: int | None = None  # IMU time of the frame before
         self._lost_since: int | None = None
@@ -103,8 +111,6 @@ class UkfBackend:
 
     def add_drive(self, drive: DriveSample) -> None:
         if np.isfinite(drive.linear_m_s) and np.isfinite(drive.angular_rad_s):
-            if self._drive is None or abs(drive.linear_m_s - self._drive.linear_m_s) > 0.02:
-                self._speed_since = drive.t_robot_ns
             self._drive = drive
             self._wheel_speed.add_drive(drive)
         if np.isfinite(drive.pan_rad) and np.isfinite(drive.tilt_rad):
@@ -136,7 +142,7 @@ class UkfBackend:
         is_still = is_still and (head is None or not head.is_turning)
         self._previous_t, self._previous_head = t_imu, head
         rgb = sample_grey(grey, tracked.uv_px) if is_grey(frame.encoded) else None
-        current = RecentFrame(frame, tracked, t_imu, None, self._wheels(segment, t_imu, is_still), rgb, head)
+        current = RecentFrame(frame, tracked, t_imu, None, self._wheels(segment, is_still), rgb, head)
         current.is_still = is_still and not self._is_commanded_to_move()
         self.newest = current
         if self._filter is None:
@@ -395,7 +401,7 @@ class UkfBackend:
     def _is_commanded_to_move(self) -> bool:
         return self._drive is not None and commands_motion(self._drive)
 
-    def _wheels(self, segment: ImuSegment, t_imu: int, is_still: bool) -> BodyVelocity | None:
+    def _wheels(self, segment: ImuSegment, is_still: bool) -> BodyVelocity | None:
         """What the wheels say of the body velocity now; of a robot that stands while it should roll, nothing forward.
 
         It is blocked: its wheels' constants are not to be learnt from that.
@@ -403,23 +409,25 @@ class UkfBackend:
         if not self._calibration.has_wheels:
             return None
         bias = self._filter.state.bias_gyro if self._filter is not None else np.zeros(3)
-        command, since = None, 0.0
-        if self._drive is not None and not (is_still and self._is_commanded_to_move()):
-            command, since = self._drive.linear_m_s, (t_imu - self._speed_since) * 1e-9
+        is_blocked = is_still and self._is_commanded_to_move()
+        rolled = None
+        if self._drive is not None and not is_blocked:
+            rolled = Rolled(self._wheel_speed.speed_m_s, self._wheel_speed.missing_m_s)
         wheels = self._filter.state.wheels if self._filter is not None else self._wheels_known.mean
-        return wheel_velocity(self._config.wheels, wheels, float(segment.end_gyro[2] - bias[2]), command, since)
+        return wheel_velocity(self._config.wheels, wheels, float(segment.end_gyro[2] - bias[2]), rolled)
 
     def _driven_velocity(self, current: RecentFrame) -> FloatArray | None:
         """Body velocity (3,) of a robot that its motors drive; None before the motors have followed their command."""
         if current.wheels is None or not self._is_commanded_to_move():
             return None
-        return current.wheels.v_body if bool(np.isfinite(current.wheels.sigma).all()) else None
+        return current.wheels.v_body if bool((current.wheels.sigma <= SIGMA_V_ROLLING).all()) else None
 
     def _rolled_m(self, t_imu: int) -> float | None:
         """Way of the wheels since the last frame; None where there are none, or the robot is in somebody's hands."""
-        before = self._wheel_speed.way_m
+        before = self._way_m  # not the wheel's own: each command has taken it on since
         self._wheel_speed.advance(t_imu)
-        rolled_m = float(self._wheel_speed.way_m - before) * self._wheels_known.efficiency
+        self._way_m = self._wheel_speed.way_m
+        rolled_m = (self._way_m - before) * self._wheels_known.efficiency
         return rolled_m if self._calibration.has_wheels and not self._is_lifted else None
 
     def _anchor(self, reason: str, state: FilterState) -> Anchor:

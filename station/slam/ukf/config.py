@@ -30,8 +30,7 @@ class UkfConfig:
     refine: bool = True
     max_keyframes: int = 500
     max_outage_s: float = 0.6  # without features for longer, tracking is lost
-    max_outage_wheels_s: float = 8.0  # the same before a blank wall, for a robot whose wheels bound the IMU's errors
-    max_covered_s: float = 1.8  # the same when features did not leave the picture but vanished in it: a covered lens
+    max_covered_s: float = 1.8  # of a robot whose wheels and IMU go on before a blank wall: the same for a covered lens
     max_climb_m_s: float = 0.2  # a wheeled robot that rises or sinks that fast is being carried
     min_upright: float = 0.985  # cosine of its tilt; 10 degrees
     min_features: int = 5  # fewer followed features than this count as an outage

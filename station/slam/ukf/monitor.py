@@ -20,10 +20,9 @@ MIN_REMEMBERED = 25  # landmarks and tracks
 LIFTED = "the robot is being lifted"
 CONTRADICTION = "image and IMU contradict each other"
 LIFTED_FRAMES = 3  # consecutive
-# Before a blank wall features leave over the picture's border, under a hand they vanish within it; docs/studies/ukf.md
-# has the shares.
-COVERED = 0.15
-COVERING_FRAMES = 12
+# What covers a lens keeps the light out all at once, a wall does not.
+COVERED = 1 / 3  # of the brightness that images had in which there was something to follow
+BRIGHTNESS_FRAMES = 12
 
 
 class TrackingMonitor:
@@ -32,8 +31,8 @@ class TrackingMonitor:
         self.reset()
 
     def reset(self) -> None:
-        self.outage_since: int | None = None  # IMU time since when the image shows too little
-        self._lost: deque[tuple[int, int]] = deque(maxlen=COVERING_FRAMES)  # features lost, and vanished, per frame
+        self.outage_since: int | None = None  # IMU time since when nothing is known of the motion but by the IMU
+        self._brightness: deque[float] = deque(maxlen=BRIGHTNESS_FRAMES)  # of the last images with something to follow
         self._disagreements = 0
         self._lifted = 0
         self._tried = self._passed = 0.0
@@ -45,7 +44,9 @@ class TrackingMonitor:
         config = self._config
         if not is_finite(state):
             return "the estimate stopped making sense"
-        if self._blind_for_s(frame, t_imu_ns) > self._patience_s(has_wheels):
+        if self._blind_for_s(frame, t_imu_ns, has_wheels) > (
+            config.max_covered_s if has_wheels else config.max_outage_s
+        ):
             return "the image shows nothing to follow"
         if has_wheels:
             climbs = abs(float(state.v[2])) > config.max_climb_m_s
@@ -63,22 +64,20 @@ class TrackingMonitor:
             return CONTRADICTION
         return None
 
-    def _blind_for_s(self, frame: TrackedFrame, t_imu_ns: int) -> float:
-        """For how long the images have shown too little; 0 while they show enough."""
+    def _blind_for_s(self, frame: TrackedFrame, t_imu_ns: int, has_wheels: bool) -> float:
+        """For how long the images have shown too little; 0 while they show enough.
+
+        A robot on wheels is not blind before a blank wall, where its wheels and IMU go on, but under a cover: what
+        covers its lens may carry it away.
+        """
         if frame.num_tracked >= self._config.min_features:
             self.outage_since = None
-        elif self.outage_since is None:
-            self.outage_since = t_imu_ns
-        if self.outage_since is None or self.outage_since == t_imu_ns:
-            self._lost.append((frame.num_previous - frame.num_tracked, frame.num_vanished))
+            self._brightness.append(frame.brightness)
+            return 0.0
+        is_wall = has_wheels and frame.brightness > COVERED * max(self._brightness, default=0.0)
+        if self.outage_since is None and not is_wall:
+            self.outage_since = t_imu_ns  # until there is something to follow: exposure makes up for a cover in seconds
         return 0.0 if self.outage_since is None else (t_imu_ns - self.outage_since) * 1e-9
-
-    def _patience_s(self, has_wheels: bool) -> float:
-        """How long tracking may go on without images."""
-        if not has_wheels:
-            return self._config.max_outage_s
-        lost, vanished = sum(n for n, _ in self._lost), sum(n for _, n in self._lost)
-        return self._config.max_covered_s if vanished > COVERED * lost else self._config.max_outage_wheels_s
 
     def _seldom_fits(self, result: FrameResult) -> bool:
         """Over the last second most of what the camera saw was refused, as with a calibration that is wrong."""

@@ -118,7 +118,9 @@ class WheelConfig:
     sigma_turning_centre_m: float = 0.05
     sigma_speed_share: float = 0.08
     sigma_speed_m_s: float = 0.02
-    settle_s: float = 0.35  # a command is believed that long after it changed: motors have made 93 % of the change then
+    sigma_lag_share: float = (
+        0.5  # of what the motors have still to make of a change: their lag is known as well as that
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,16 +146,23 @@ class WheelsKnown:
         return float(self.mean[0])
 
 
+@dataclass(frozen=True, slots=True)
+class Rolled:
+    """How fast the wheels roll now, as the commands say through the motors' lag; without slip."""
+
+    speed_m_s: float
+    missing_m_s: float  # of the command, that is still to come
+
+
 def wheel_velocity(
-    config: WheelConfig, wheels: FloatArray, turn_rate: float, command_m_s: float | None, since_change_s: float
+    config: WheelConfig, wheels: FloatArray, turn_rate: float, rolled: Rolled | None
 ) -> BodyVelocity | None:
     """What wheels say of the body's velocity now; None when nothing is switched on.
 
     Args:
         wheels: (2,) FilterState.wheels.
         turn_rate: rad/s about the body's vertical axis, from the gyroscope.
-        command_m_s: commanded forward speed, None where no command is known.
-        since_change_s: since the command changed.
+        rolled: how fast the wheels roll; None where no command is known.
     """
     sigma = np.full(3, np.inf)
     by_wheels = np.zeros((3, 2))
@@ -161,9 +170,10 @@ def wheel_velocity(
         by_wheels[1, 1] = turn_rate
         sigma[1] = config.sigma_lateral_m_s + config.lateral_per_turn_m * abs(turn_rate)
         sigma[2] = config.sigma_vertical_m_s
-    if config.use_commanded_speed and command_m_s is not None and since_change_s > config.settle_s:
-        by_wheels[0, 0] = command_m_s
-        sigma[0] = config.sigma_speed_m_s + config.sigma_speed_share * abs(command_m_s)
+    if config.use_commanded_speed and rolled is not None:
+        by_wheels[0, 0] = rolled.speed_m_s
+        sigma[0] = config.sigma_speed_m_s + config.sigma_speed_share * abs(rolled.speed_m_s)
+        sigma[0] += config.sigma_lag_share * abs(rolled.missing_m_s)
     return BodyVelocity(by_wheels @ wheels, sigma, by_wheels, gate=4.0) if np.isfinite(sigma).any() else None
 
 

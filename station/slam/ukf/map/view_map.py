@@ -128,6 +128,7 @@ def relative_motions(items: list[View], noise: ImuNoise) -> RelativeMotions:
         sigma_rotation=sigma_rotation,
         sigma_position=np.repeat(sigma_position[:, None], 3, axis=1),
         drift=DRIFT,
+        slips=False,  # the filter has left out wheels that contradict what it knows
     )
 
 

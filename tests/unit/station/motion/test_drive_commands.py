@@ -33,6 +33,7 @@ def test_wheels_follow_a_new_speed_late_and_stop_as_late() -> None:
     wheels.add_drive(DriveSample(0, 0.4, 0.0))
     wheels.advance(round(MOTOR_LAG_S * SECOND))
     assert wheels.speed_m_s == pytest.approx(SPEED_EFFICIENCY * 0.4 * (1 - np.exp(-1)))
+    assert wheels.missing_m_s == pytest.approx(SPEED_EFFICIENCY * 0.4 * np.exp(-1))
     for k in range(1, 20):
         wheels.add_drive(DriveSample(k * SECOND // 10, 0.4, 0.0))
     wheels.add_drive(DriveSample(2 * SECOND, 0.0, 0.0))

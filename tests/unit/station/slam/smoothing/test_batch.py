@@ -26,7 +26,7 @@ NOISE = ImuNoise(gyro_density=1.7e-4, accel_density=2e-3, gyro_walk=2e-5, accel_
 
 
 def keyframe(number: int) -> SmoothKeyframe:
-    none = TrackedFrame(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 2)), 0, 0, 0)
+    none = TrackedFrame(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 2)), 0, 0.0)
     t_ns = 150_000_000 * number
     source = RecentFrame(ImageFrame(number, t_ns, 0, b""), none, t_ns, None, None, None, None)
     steps = np.full(30, 0.005)

@@ -98,7 +98,7 @@ def test_only_landmarks_near_the_view_have_their_patches_looked_at(monkeypatch: 
     for name in ("search", "recall"):
         monkeypatch.setattr(f"station.slam.smoothing.{name}.predict_views", counted)
     camera = CameraModel.of(REFERENCE_CAMERA, 1.0)
-    nothing = TrackedFrame(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 2)), 0, 0, 0)
+    nothing = TrackedFrame(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 2)), 0, 0.0)
     T_world_body = inverse(camera_pose(np.eye(4), camera))
     found = Recaller(camera, CONFIG).search(table, wall(np.eye(4)), nothing, T_world_body, 0)
     reach = np.full(len(p), CONFIG.reach_px)

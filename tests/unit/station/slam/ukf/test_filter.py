@@ -14,7 +14,7 @@ from station.motion.error_coordinates import ErrorKind, difference_group, pose_j
 from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import ImuSegment
 from station.slam.ukf.filter.config import FilterConfig
-from station.slam.ukf.filter.constraints import BodyVelocity, SamePlace, WheelConfig, wheel_velocity
+from station.slam.ukf.filter.constraints import BodyVelocity, Rolled, SamePlace, WheelConfig, wheel_velocity
 from station.slam.ukf.filter.filter import VioFilter
 from station.slam.ukf.filter.landmarks import measure_landmarks
 from station.slam.ukf.filter.measurement import linearise, regress
@@ -253,11 +253,23 @@ def test_body_velocity_row_is_the_finite_difference(kind: ErrorKind) -> None:
         assert np.allclose(A[:, column], (a.R.T @ a.v - b.R.T @ b.v) / (2 * h), atol=1e-6)
 
 
+def test_wheels_are_believed_less_while_they_follow_a_new_command() -> None:
+    config, constants = WheelConfig(), np.array([0.96, 0.02])
+    steady = wheel_velocity(config, constants, 0.0, Rolled(0.4, 0.0))
+    changing = wheel_velocity(config, constants, 0.0, Rolled(0.2, 0.2))
+    assert steady is not None and changing is not None
+    assert steady.sigma[0] == pytest.approx(config.sigma_speed_m_s + config.sigma_speed_share * 0.4)
+    assert changing.v_body[0] == pytest.approx(0.96 * 0.2)
+    assert changing.sigma[0] > config.sigma_lag_share * 0.2
+    unknown = wheel_velocity(config, constants, 0.0, None)
+    assert unknown is not None and np.isinf(unknown.sigma[0])
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_wheel_velocity_row_is_the_finite_difference(kind: ErrorKind) -> None:
     config = WheelConfig()
     state = add_wheels(random_state(17), np.array([0.9, 0.03]), np.array([0.1, 0.05]))
-    constraint = wheel_velocity(config, state.wheels, 0.6, 0.4, 1.0)
+    constraint = wheel_velocity(config, state.wheels, 0.6, Rolled(0.4, 0.0))
     assert constraint is not None
     rows = replace(constraint, sigma=np.ones(3), gate=np.inf).rows(state, kind)
     h = 1e-6

@@ -36,7 +36,7 @@ def attempt(
 ) -> tuple[FilterState, MotionStart | None] | str:
     model = CameraModel.of(CAMERA, 1.0)
     uv = np.random.default_rng(0).uniform(50, 400, (num_features, 2))
-    tracked = TrackedFrame(np.arange(num_features), uv, model.lens.unproject(uv), num_features, num_features, 0)
+    tracked = TrackedFrame(np.arange(num_features), uv, model.lens.unproject(uv), num_features, 100.0)
     starter = Starter(model, NOISE, GRAVITY, StartConfig(), ErrorKind.RIGHT)
     frame = WaitingFrame(7, NOW_NS, tracked, v_wheels)
     return starter.try_start(frame, readings(accel, seconds), False, lambda _: ANCHOR)

@@ -38,7 +38,7 @@ PICTURE = picture()
 def keyframe(number: int, moved_px: float, segment: int = 0, T: FloatArray | None = None) -> Keyframe:
     """All features moved that far since the first keyframe."""
     uv = np.random.default_rng(1).uniform(200, 400, (50, 2)) + np.array([moved_px, 0.0])
-    tracked = TrackedFrame(np.arange(50), uv, MODEL.lens.unproject(uv), 50, 50, 0)
+    tracked = TrackedFrame(np.arange(50), uv, MODEL.lens.unproject(uv), 50, 100.0)
     image = ImageFrame(number, number * 250_000_000, 0, PICTURE)
     pose = np.eye(4) if T is None else T
     rgb = np.zeros((50, 3), dtype=np.uint8)
