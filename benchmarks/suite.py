@@ -112,7 +112,7 @@ SUITE = (
     ),
     Benchmark("false_alarms", CURRENT, "bench_false_alarms", "--seed 270", "--flats 1 --drives 1"),
     Benchmark("hijack", CURRENT, "bench_hijack", "--trials 100", "--trials 2 --plain-minutes 0.5"),
-    Benchmark("new_robot", CURRENT, "bench_new_robot", "--seeds 5-9", None),
+    Benchmark("new_robot", CURRENT, "bench_new_robot", "--seeds 10-14", None),
     Benchmark("demo", CURRENT, "bench_demo", "--seeds 1-20", None),
     Benchmark("place_scale", CURRENT, "bench_place_scale", "--answers 120", "--rooms 1 10 --answers 12"),
     Benchmark("page", PAGE, "bench_page", "--seconds 30", "--seconds 5", has_own_target=True),
