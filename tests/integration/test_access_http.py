@@ -12,7 +12,6 @@ import httpx
 import pytest
 import websockets
 
-from robot.devices.ports import CapturedFrame
 from shared.access import Role, Token
 from shared.token_book import TokenBook
 from station.api.doorkeeper import COOKIE, REVOKED
@@ -20,7 +19,7 @@ from station.api.roles import ROLES
 from station.api.server import all_calls
 from tests.support.access import Guarded, guarded_station
 from tests.support.link import running_robot, until
-from tests.support.station import Film, picture, running_station
+from tests.support.station import Film, running_station
 
 SOCKETS = {"/ws/events": "", "/ws/camera": "", "/ws/drive": "", "/ws/replay": "?navigation=none"}
 SOCKETS |= {f"/robots/{{robot}}/ws/{kind}": "" for kind in ("events", "camera", "drive")}
@@ -274,7 +273,7 @@ FOLLOWED = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate", "Sec-F
 
 async def test_another_sites_page_can_show_no_picture_of_ours(tmp_path: Path) -> None:
     async with running_robot() as bench, running_station(bench.port, tmp_path) as desk:
-        bench.camera.frames.put_nowait(CapturedFrame(1, 1, 640, 480, picture(1)))
+        filming = asyncio.create_task(Film(bench).run())
         await until(lambda: desk.station.first.camera.newest)
         for foreign in (
             SHOWN_ELSEWHERE,
@@ -293,3 +292,4 @@ async def test_another_sites_page_can_show_no_picture_of_ours(tmp_path: Path) ->
             headers = (await desk.http.get(path)).headers
             assert headers.get_list("x-content-type-options") == ["nosniff"]
             assert headers["cross-origin-resource-policy"] == "same-origin"
+        filming.cancel()

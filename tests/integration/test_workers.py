@@ -81,12 +81,13 @@ async def test_no_thread_moves_the_bytes() -> None:
 
 async def test_a_worker_is_as_important_as_the_station_until_its_first_event() -> None:
     base = os.nice(0)
+    least = min(base + NICE, 19)  # the kernel's last
     async with started(head_start_s=1000.0) as worker:
         assert await worker.call(Puppet.niceness) == base
         await worker.call(Puppet.emit, "here I am")
-        assert await worker.call(Puppet.niceness) == base + NICE
+        assert await worker.call(Puppet.niceness) == least
     async with started() as worker:
-        assert await worker.call(Puppet.niceness) == base + NICE
+        assert await worker.call(Puppet.niceness) == least
 
 
 async def test_events_come_in_order_before_the_answer() -> None:
