@@ -17,9 +17,10 @@ if [ $# -gt 0 ]; then
 fi
 
 # Four processes side by side, so that one computes while another waits. Whole robots go by the clock, and are judged by
-# how often they know their place in time: all else gives way to them, and what only computes to all. What those in the
-# background say comes when the one that is seen has ended.
+# how often they know their place in time: all else gives way to them, and what only computes to all. Browsers come after
+# them. What those in the background say comes when the one that is seen has ended.
 run=($bin/pytest --durations=15)
+by_the_clock="not hardware and not computing"
 said=$(mktemp -d)
 pids=()
 trap 'kill "${pids[@]}" 2>/dev/null || true; rm -rf "$said"' EXIT
@@ -27,12 +28,18 @@ beside() {
   "$@" -p no:cacheprovider >"$said/${#pids[@]}" 2>&1 &
   pids+=($!)
 }
-beside "${run[@]}" -m "not hardware and not computing and slow" tests/integration tests/e2e
+robots_then_browsers() {
+  local failed=0
+  "$@" -m "$by_the_clock and slow" tests/integration tests/e2e || failed=$?
+  "$@" -m "$by_the_clock and not slow" tests/e2e || failed=$?
+  return $failed
+}
+beside robots_then_browsers "${run[@]}"
 beside nice -n 19 "${run[@]}" -m "not hardware and computing" tests/golden tests/property tests/integration tests/e2e
 # One after the other: both would install what checks the page.
 beside nice -n 19 bash -c 'scripts/lint.sh && exec "$@"' lint "${run[@]}" -m "not hardware and computing" tests/unit
 failed=0
-nice "${run[@]}" -m "not hardware and not computing and not slow" tests/integration tests/e2e || failed=$?
+nice "${run[@]}" -m "$by_the_clock and not slow" tests/integration || failed=$?
 for i in "${!pids[@]}"; do
   wait "${pids[i]}" || failed=$?
   cat "$said/$i"
