@@ -14,6 +14,7 @@ from station.vision.lens import BoolArray, Lens
 from station.vision.two_view import epipolar_inliers
 
 PointsArray = npt.NDArray[np.float32]  # (N, 1, 2), OpenCV's shape of points
+MIN_FOLLOWED = 5  # features: the motion between two images has so many degrees of freedom that they show
 LK_EPSILON_PX = 0.02  # the last step; half of it would take half as much time again, for what no filter can see
 SUBPIX_WINDOW = (4, 4)
 SUBPIX_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 10, 0.02)

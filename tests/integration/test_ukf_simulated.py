@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import cv2
 import numpy as np
 import pytest
 
@@ -15,7 +16,9 @@ from robot.simulation.renderer import Renderer
 from robot.simulation.sensors import ImuModel
 from robot.simulation.trajectory import MotionHistory
 from robot.simulation.worlds import make_world
-from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from shared.geometry import FloatArray, transform
+from station.experiments.alignment import align_points
+from station.model.frames import DriveSample, ImageArray, ImageFrame, ImuBatch
 from station.model.navigation import Navigation
 from station.model.slam_update import SlamUpdate
 from station.slam.ukf.backend import UkfBackend
@@ -30,8 +33,19 @@ CONFIG = SimulationConfig(camera_rate_hz=1 / FRAME_S)
 CALIBRATION = simulated_calibration(CONFIG)
 
 
-def drive() -> Iterator[ImuBatch | DriveSample | ImageFrame]:
-    """An arc in a box of checkerboards; the lens is covered for a while, later hands carry the robot away."""
+def as_jpeg(image: ImageArray) -> bytes:
+    ok, encoded = cv2.imencode(".jpg", image)
+    assert ok
+    return encoded.tobytes()
+
+
+def drive(truth: dict[int, FloatArray] | None = None) -> Iterator[ImuBatch | DriveSample | ImageFrame]:
+    """An arc in a box of checkerboards; the lens is covered for a while, later hands carry the robot away.
+
+    truth: of a drive before a blank wall for that while; gets where the body was (3,) at each image. It ends before the
+    hands come.
+    """
+    wall = b""
     camera, noise = CALIBRATION.camera, CALIBRATION.imu
     assert camera is not None and noise is not None
     world = make_world("checker", 0)
@@ -39,16 +53,20 @@ def drive() -> Iterator[ImuBatch | DriveSample | ImageFrame]:
     imu = ImuModel(noise, CONFIG.imu, CALIBRATION.gravity, 1)
     eye = SimulatedCamera(Renderer(world, camera), camera, CONFIG.camera, 1)
     history, state, next_frame_s, index, ticks, hijacked = MotionHistory(keep_s=2.0), body.state(), 0.1, 0, 0, False
-    while state.t_s < END_S:
+    while state.t_s < (END_S if truth is None else HIJACK_S):
         history.append(state)
         t_ns = 10**9 + round(state.t_s * 1e9)
         m = imu.measure(state)
         yield ImuBatch(np.array([t_ns]), m.gyro_imu[None], m.accel_imu[None])
         if state.t_s - next_frame_s > 0.05:
-            faults = Faults(covered_lens=COVERED_S[0] < next_frame_s < COVERED_S[1])
+            is_blind = COVERED_S[0] < next_frame_s < COVERED_S[1]
+            faults = Faults(covered_lens=is_blind and truth is None)
             seen = eye.expose(history.pose, next_frame_s, faults, history.carried(next_frame_s))
             stamp = 10**9 + round((next_frame_s - camera.time_shift_s) * 1e9)
-            yield ImageFrame(index, stamp, 0, seen.jpeg)
+            if truth is not None:
+                truth[stamp] = history.pose(next_frame_s)[:3, 3]
+                wall = wall if is_blind else as_jpeg(np.full_like(seen.image, round(float(seen.image.mean()))))
+            yield ImageFrame(index, stamp, 0, wall if is_blind and truth is not None else seen.jpeg)
             index, next_frame_s = index + 1, next_frame_s + FRAME_S
         if not hijacked and state.t_s > HIJACK_S:
             hijacked = True
@@ -107,6 +125,23 @@ def test_under_a_cover_the_wheels_go_on(run: tuple[Navigation, list[tuple[float,
     t_after, x_after, _ = next(s for s in seen if s[2] == 1)
     rolled_m = 0.96 * 0.15 * (t_after - t_before)  # of the simulated body; by a tenth of a radian less on its arc
     assert float(np.linalg.norm(x_after - x_before)) == pytest.approx(rolled_m, rel=0.1)
+
+
+def test_before_a_blank_wall_the_robot_is_followed_by_wheels_and_imu() -> None:
+    backend, truth, poses = UkfBackend(CALIBRATION), dict[int, FloatArray](), []
+    for event in drive(truth):
+        if isinstance(event, ImuBatch):
+            backend.add_imu(event)
+        elif isinstance(event, DriveSample):
+            backend.add_drive(event)
+        elif (update := backend.add_frame(event)).T_world_body is not None:
+            poses.append((update.t_robot_ns, update.T_world_body[:3, 3]))
+            assert update.segment == 0
+    nav = backend.finish()
+    assert set(nav.keyframes.segment.tolist()) == {0} and nav.report.tracking_lost_s == 0.0
+    true, found = np.array([truth[t] for t, _ in poses]), np.array([p for _, p in poses])
+    error_m = np.linalg.norm(transform(align_points(true, found, "yaw").T_target_source, found) - true, axis=1)
+    assert float(error_m.max()) < 0.03
 
 
 def test_a_hijack_is_tracking_lost_within_two_seconds(

@@ -16,6 +16,7 @@ from station.model.frames import DriveSample, ImuBatch
 from station.motion.dead_reckoning import reckon_drive
 from station.motion.inertial_track import InertialTrack
 from station.slam.mapping.odometry_bundle import HELD_SIGMA, BundleState
+from station.vision.lens import BoolArray
 
 SLIP = 0.15  # of the way between keyframes, one sigma: skid-steer wheels on carpets
 SLIP_PER_RADIAN_M = 0.03  # a skid-steer body turns about a point that wanders by centimetres
@@ -56,13 +57,13 @@ class RelativeMotions:
     sigma_rotation: FloatArray  # (N-1,) rad
     sigma_position: FloatArray  # (N-1, 3) m, body axes
     drift: Drift  # of the whole chain
-    slips: bool  # whether some of them may be off by many sigmas: then they count by Cauchy's loss
+    slips: BoolArray  # (N-1,) those that may be off by many sigmas: their positions count by Cauchy's loss
 
     def cost(self, state: BundleState) -> float:
         weighted, _, _ = self._residuals(state)
         turn = float((weighted[:, :3] ** 2).sum())
         squared = (weighted[:, 3:] ** 2).sum(axis=1)
-        slip = float((SLIP_CAUCHY**2 * np.log1p(squared / SLIP_CAUCHY**2) if self.slips else squared).sum())
+        slip = float(np.where(self.slips, SLIP_CAUCHY**2 * np.log1p(squared / SLIP_CAUCHY**2), squared).sum())
         prior = (state.motion - MOTION_START) / _PRIOR_SIGMA
         return turn + slip + float(prior @ prior)
 
@@ -82,11 +83,11 @@ class RelativeMotions:
         J[:, :3, 13:16] = np.swapaxes(self.R, 1, 2) @ self.R_sum
         J[:, :3] /= self.sigma_rotation[:, None, None]
         J[:, 3:] /= self.sigma_position[:, :, None]
-        if self.slips:
-            robust = 1.0 / np.sqrt(1.0 + (weighted[:, 3:] ** 2).sum(axis=1) / SLIP_CAUCHY**2)
-            J[:, 3:] *= robust[:, None, None]
-            weighted = weighted.copy()
-            weighted[:, 3:] *= robust[:, None]
+        cauchy = 1.0 / np.sqrt(1.0 + (weighted[:, 3:] ** 2).sum(axis=1) / SLIP_CAUCHY**2)
+        robust = np.where(self.slips, cauchy, 1.0)
+        J[:, 3:] *= robust[:, None, None]
+        weighted = weighted.copy()
+        weighted[:, 3:] *= robust[:, None]
         columns = np.hstack([
             6 * np.arange(k)[:, None] + np.arange(12), np.broadcast_to(np.arange(6 * n, size), (k, len(MOTION_START)))
         ])  # fmt: skip
@@ -154,6 +155,6 @@ def dead_reckon(
         sigma_rotation=sigma_rotation,
         sigma_position=sigma_position,
         drift=DEAD_RECKONED,
-        slips=True,
+        slips=np.ones(len(length), dtype=bool),
         track=track,
     )

@@ -38,11 +38,11 @@ from station.slam.ukf.monitor import CONTRADICTION, LIFTED, TrackingMonitor
 from station.slam.ukf.start.coasting import Coasting
 from station.slam.ukf.start.starter import (
     ORIGIN,
-    SIGMA_V_ROLLING,
     Anchor,
     GivenState,
     Starter,
     WaitingFrame,
+    driven_velocity,
     state_from_given,
 )
 from station.slam.ukf.start.stillness import StillnessDetector
@@ -167,9 +167,7 @@ class UkfBackend:
         result = vio.process_frame(segment, current.tracked, frame.index, soft, keep_previous, current.head)
         current.T_body_head = None if current.head is None else vio.T_body_head
         self._tracker.drop(result.rejected_ids)
-        reason = self._monitor.why_lost(
-            vio.state, current.tracked, current.t_imu_ns, current.wheels is not None, result
-        )  # fmt: skip
+        reason = self._monitor.why_lost(vio.state, current.tracked, current.t_imu_ns, current.wheels, result)
         if reason is not None:
             return self._lose(reason, current.t_imu_ns, frame)
         memory.poses.add(frame.index, current.t_imu_ns, vio.state.T_world_body, memory.segment)
@@ -420,7 +418,8 @@ class UkfBackend:
         """Body velocity (3,) of a robot that its motors drive; None before the motors have followed their command."""
         if current.wheels is None or not self._is_commanded_to_move():
             return None
-        return current.wheels.v_body if bool((current.wheels.sigma <= SIGMA_V_ROLLING).all()) else None
+        lag_m_s = self._config.wheels.sigma_lag_share * abs(self._wheel_speed.missing_m_s)
+        return driven_velocity(current.wheels, lag_m_s)
 
     def _rolled_m(self, t_imu: int) -> float | None:
         """Way of the wheels since the last frame; None where there are none, or the robot is in somebody's hands."""

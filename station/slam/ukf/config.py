@@ -10,7 +10,7 @@ from station.slam.ukf.filter.constraints import WheelConfig
 from station.slam.ukf.map.landmark_map import LandmarkQuality
 from station.slam.ukf.map.views import ViewConfig
 from station.slam.ukf.start.motion_start import StartConfig
-from station.vision.klt import TrackerConfig
+from station.vision.klt import MIN_FOLLOWED, TrackerConfig
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,10 +30,11 @@ class UkfConfig:
     refine: bool = True
     max_keyframes: int = 500
     max_outage_s: float = 0.6  # without features for longer, tracking is lost
-    max_covered_s: float = 1.8  # of a robot whose wheels and IMU go on before a blank wall: the same for a covered lens
+    max_outage_wheels_s: float = 8.0  # the same where wheels say how fast it goes: 5 cm off by then, of 2.4 m
+    max_covered_s: float = 1.8  # of that robot, when its lens is covered
     max_climb_m_s: float = 0.2  # a wheeled robot that rises or sinks that fast is being carried
     min_upright: float = 0.985  # cosine of its tilt; 10 degrees
-    min_features: int = 5  # fewer followed features than this count as an outage
+    min_features: int = MIN_FOLLOWED  # fewer followed features than this count as an outage
     max_speed_m_s: float = 15.0
     max_disagreements: int = 5  # consecutive frames in which most landmarks fail their gate
     max_imu_gap_s: float = 0.5  # without IMU for longer, tracking is lost

@@ -118,9 +118,8 @@ class WheelConfig:
     sigma_turning_centre_m: float = 0.05
     sigma_speed_share: float = 0.08
     sigma_speed_m_s: float = 0.02
-    sigma_lag_share: float = (
-        0.5  # of what the motors have still to make of a change: their lag is known as well as that
-    )
+    # Of what the motors have still to make of a change: a lag half as long again is no rarity among motors.
+    sigma_lag_share: float = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)

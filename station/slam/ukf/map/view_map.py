@@ -25,6 +25,7 @@ from station.slam.ukf.filter.constraints import WheelsKnown
 from station.slam.ukf.map.pose_log import PoseLog
 from station.slam.ukf.map.views import MapViews, View
 from station.vision.camera_model import CameraModel
+from station.vision.klt import MIN_FOLLOWED
 
 MIN_VIEWS = 3
 # Homes of plain walls give 14 to 17 and the IMU bends their maps, furnished flats over 80 and it mends their scale.
@@ -128,7 +129,8 @@ def relative_motions(items: list[View], noise: ImuNoise) -> RelativeMotions:
         sigma_rotation=sigma_rotation,
         sigma_position=np.repeat(sigma_position[:, None], 3, axis=1),
         drift=DRIFT,
-        slips=False,  # the filter has left out wheels that contradict what it knows
+        # Where images were followed the filter has left out wheels that contradict them.
+        slips=np.array([v.keyframe.tracked.num_tracked < MIN_FOLLOWED for v in items[1:]], dtype=bool),
     )
 
 

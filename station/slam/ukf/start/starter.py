@@ -14,6 +14,7 @@ from station.model.frames import ImuBatch
 from station.motion.error_coordinates import ErrorKind
 from station.motion.imu_buffer import ImuBuffer
 from station.slam.mapping.inertial_bundle import N
+from station.slam.ukf.filter.constraints import BodyVelocity
 from station.slam.ukf.filter.state import CORE, PHI, XI_V, XI_X, FilterState, add_clone, initial_state
 from station.slam.ukf.start.motion_start import MotionStart, StartConfig, start_in_motion
 from station.vision.camera_model import CameraModel
@@ -24,6 +25,15 @@ SIGMA_TILT_REST = 0.02  # rad: accelerometer bias leans the gravity that is meas
 SIGMA_V_REST = 0.01  # m/s
 SIGMA_TILT_ROLLING = 0.03  # rad: the floor, and what accelerating leans
 SIGMA_V_ROLLING = 0.06  # m/s, per axis: wheels slip and skid
+
+
+def driven_velocity(wheels: BodyVelocity, lag_m_s: float) -> FloatArray | None:
+    """Body velocity (3,) with which a driven robot may start; None before its motors have followed their command.
+
+    lag_m_s: by what the motors have still to make of a command the wheels may be off.
+    """
+    is_known = bool(np.isfinite(wheels.sigma).all()) and lag_m_s <= SIGMA_V_ROLLING
+    return wheels.v_body if is_known else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

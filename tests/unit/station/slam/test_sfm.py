@@ -196,7 +196,7 @@ def test_bundle_adjustment_corrects_poses_and_survives_outliers(
         sigma_rotation=np.full(n - 1, 0.002),
         sigma_position=np.full((n - 1, 3), 0.01),
         drift=DEAD_RECKONED,
-        slips=True,
+        slips=np.ones(n - 1, dtype=bool),
         track=InertialTrack(flat_drive()[1], np.zeros(3)),
     )
     state = BundleState(start[:, :3, :3], start[:, :3, 3], points + rng.normal(scale=0.1, size=(m, 3)), MOTION_START)

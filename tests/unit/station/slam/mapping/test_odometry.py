@@ -14,7 +14,7 @@ from station.slam.mapping.tracks import Tracks
 SIGMA_M = 0.01
 
 
-def straight_on(slips: bool) -> RelativeMotions:
+def straight_on(slips: bool | list[bool]) -> RelativeMotions:
     """Four poses, half a metre apart."""
     T = np.tile(np.eye(4), (4, 1, 1))
     T[:, 0, 3] = 0.5 * np.arange(4)
@@ -26,7 +26,7 @@ def straight_on(slips: bool) -> RelativeMotions:
         sigma_rotation=np.full(3, 0.002),
         sigma_position=np.full((3, 3), SIGMA_M),
         drift=DEAD_RECKONED,
-        slips=slips,
+        slips=np.broadcast_to(slips, 3),
     )
 
 
@@ -50,8 +50,15 @@ def test_a_motion_that_cannot_slip_is_never_let_go() -> None:
     assert wheels.cost(stretched(wheels, 20.0)) < 40.0
 
 
-@pytest.mark.parametrize("slips", [False, True])
-def test_the_gradient_agrees_with_the_cost(slips: bool) -> None:
+def test_only_the_motion_that_may_slip_is_let_go() -> None:
+    mixed = straight_on(slips=[False, True, False])  # the second is the stretched one
+    assert mixed.cost(stretched(mixed, 20.0)) < 40.0
+    other = straight_on(slips=[True, False, True])
+    assert other.cost(stretched(other, 20.0)) == pytest.approx(20.0**2)
+
+
+@pytest.mark.parametrize("slips", [False, True, [True, False, True]])
+def test_the_gradient_agrees_with_the_cost(slips: bool | list[bool]) -> None:
     motions, rng, h = straight_on(slips), np.random.default_rng(3), 1e-6
     state = poses_of(motions)
     # Steps of a sigma: Cauchy's weights are the derivative of its loss.

@@ -9,6 +9,7 @@ import pytest
 
 from shared.geometry import so3_exp
 from station.slam.ukf.config import UkfConfig
+from station.slam.ukf.filter.constraints import BodyVelocity
 from station.slam.ukf.filter.filter import FrameResult
 from station.slam.ukf.filter.state import FilterState, initial_state
 from station.slam.ukf.monitor import TrackingMonitor
@@ -32,19 +33,38 @@ def resting() -> FilterState:
     return initial_state(0, np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), 0.1 * np.eye(15))
 
 
+def rolling(sigma_m_s: float = 0.05) -> BodyVelocity:
+    return BodyVelocity(np.array([0.3, 0.0, 0.0]), np.array([sigma_m_s, 0.05, 0.05]), np.zeros((3, 2)))
+
+
+def lost_in(brightness: list[float], wheels: BodyVelocity | None = None) -> float | None:
+    """Seconds until a robot on wheels is lost that sees nothing to follow, by the brightness of each image.
+
+    Before them it sees a second of something to follow, of the first one's brightness.
+    """
+    monitor, none, wheels = TrackingMonitor(UkfConfig()), result(0, 0, 0, 0), wheels or rolling()
+    for k in range(-20, 0):
+        assert monitor.why_lost(resting(), view(80, brightness[0]), k * FRAME_NS, wheels, none) is None
+    for k, light in enumerate(brightness):
+        if monitor.why_lost(resting(), view(0, light), k * FRAME_NS, wheels, none) is not None:
+            return k * FRAME_NS * 1e-9
+    return None
+
+
 def seconds_until_lost(
     results: FrameResult,
     state: FilterState,
     num_tracked: int = 80,
     brightness: float = BRIGHT,
     has_wheels: bool = False,
-    limit: int = 200,
+    limit: int = 400,
 ) -> float | None:
     """After an image with something to follow."""
     monitor = TrackingMonitor(UkfConfig())
-    assert monitor.why_lost(resting(), view(80), -FRAME_NS, has_wheels, result(0, 0, 0, 0)) is None
+    wheels = rolling() if has_wheels else None
+    assert monitor.why_lost(resting(), view(80), -FRAME_NS, wheels, result(0, 0, 0, 0)) is None
     for k in range(limit):
-        if monitor.why_lost(state, view(num_tracked, brightness), k * FRAME_NS, has_wheels, results) is not None:
+        if monitor.why_lost(state, view(num_tracked, brightness), k * FRAME_NS, wheels, results) is not None:
             return k * FRAME_NS * 1e-9
     return None
 
@@ -77,8 +97,31 @@ def test_on_wheels_a_blank_wall_is_borne_and_a_covered_lens_is_not() -> None:
     wall_s = seconds_until_lost(nothing, resting(), num_tracked=0, brightness=0.5 * BRIGHT, has_wheels=True)
     covered_s = seconds_until_lost(nothing, resting(), num_tracked=0, brightness=0.2 * BRIGHT, has_wheels=True)
     assert flown_s == pytest.approx(config.max_outage_s + 0.05, abs=0.051)
-    assert wall_s is None
+    assert wall_s == pytest.approx(config.max_outage_wheels_s + 0.05, abs=0.051)
     assert covered_s is not None and covered_s <= 2.0
+
+
+def test_somebodys_dark_legs_before_a_wall_are_no_cover() -> None:
+    wall = [BRIGHT] * 40
+    assert lost_in([*wall, 0.25 * BRIGHT, *wall, 0.2 * BRIGHT, 0.2 * BRIGHT, *wall]) is None
+
+
+def test_a_cover_stays_one_while_exposure_makes_up_for_it() -> None:
+    # Twelve per cent more in each image, until it is as bright as before: a second.
+    covered = [min(0.15 * 1.12**k, 1.0) * BRIGHT for k in range(80)]
+    lost_s = lost_in([BRIGHT] * 10 + covered)
+    assert lost_s == pytest.approx(0.5 + UkfConfig().max_covered_s + 0.05, abs=0.051)
+
+
+def test_a_shaded_wall_that_one_turns_to_is_no_cover() -> None:
+    # A window of 180 leaves the picture within a second; the wall beside it is at 45.
+    assert lost_in([180.0 - 135.0 * min(k / 20, 1.0) for k in range(100)]) is None
+
+
+def test_wheels_that_do_not_say_how_fast_they_turn_carry_nobody() -> None:
+    config = UkfConfig()
+    lost_s = lost_in([BRIGHT] * 100, rolling(sigma_m_s=np.inf))
+    assert lost_s == pytest.approx(config.max_outage_s + 0.05, abs=0.051)
 
 
 def test_a_robot_that_rises_or_tilts_is_lifted_and_a_drone_is_not() -> None:

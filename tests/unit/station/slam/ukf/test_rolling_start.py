@@ -7,12 +7,14 @@ import pytest
 
 from shared.calibration import REFERENCE_ROBOT
 from shared.geometry import FloatArray, so3_exp, yaw_rotation
-from station.model.frames import ImuBatch
+from station.model.frames import DriveSample, ImuBatch
+from station.motion.drive_commands import WheelSpeed
 from station.motion.error_coordinates import ErrorKind, difference_group
 from station.motion.imu_buffer import ImuBuffer
+from station.slam.ukf.filter.constraints import Rolled, WheelConfig, wheel_velocity
 from station.slam.ukf.filter.state import PHI, XI_V, FilterState
 from station.slam.ukf.start.motion_start import MotionStart, StartConfig
-from station.slam.ukf.start.starter import Anchor, Starter, WaitingFrame, state_rolling
+from station.slam.ukf.start.starter import Anchor, Starter, WaitingFrame, driven_velocity, state_rolling
 from station.vision.camera_model import CameraModel
 from station.vision.klt import TrackedFrame
 
@@ -40,6 +42,33 @@ def attempt(
     starter = Starter(model, NOISE, GRAVITY, StartConfig(), ErrorKind.RIGHT)
     frame = WaitingFrame(7, NOW_NS, tracked, v_wheels)
     return starter.try_start(frame, readings(accel, seconds), False, lambda _: ANCHOR)
+
+
+@pytest.mark.parametrize("turn_rad_s", [0.0, 1.0, 2.5])
+@pytest.mark.parametrize("speed_m_s", [0.1, 0.3, 0.5])
+def test_motors_have_followed_half_a_second_after_their_command(speed_m_s: float, turn_rad_s: float) -> None:
+    config, wheel = WheelConfig(), WheelSpeed(hold_s=np.inf, efficiency=1.0)
+    wheel.add_drive(DriveSample(0, 0.0, turn_rad_s))
+    wheel.add_drive(DriveSample(10**9, speed_m_s, turn_rad_s))
+
+    def after(seconds: float) -> FloatArray | None:
+        wheel.advance(10**9 + round(seconds * 1e9))
+        missing = wheel.missing_m_s
+        wheels = wheel_velocity(config, np.array([1.0, 0.0]), turn_rad_s, Rolled(wheel.speed_m_s, missing))
+        assert wheels is not None
+        return driven_velocity(wheels, config.sigma_lag_share * abs(missing))
+
+    if speed_m_s > 0.2:
+        assert after(0.02) is None
+    v_body = after(0.5)
+    assert v_body is not None
+    assert v_body[0] == pytest.approx(speed_m_s, rel=0.1)
+
+
+def test_a_robot_whose_wheels_say_nothing_of_its_speed_is_not_started_by_them() -> None:
+    wheels = wheel_velocity(WheelConfig(), np.array([1.0, 0.0]), 0.0, None)
+    assert wheels is not None
+    assert driven_velocity(wheels, 0.0) is None
 
 
 def test_a_driven_robot_starts_at_once_where_it_was_known_to_be() -> None:
