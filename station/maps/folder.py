@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -34,6 +35,8 @@ FORMAT = 1
 def save_map_folder(place_map: PlaceMap, folder: Path, extras: Mapping[str, str] | None = None) -> None:
     """Write a map, whole or not at all, replacing one that is there; `extras` are text files put beside it.
 
+    What else a person put beside the one that is there stays.
+
     Raises:
         DataError: the folder holds something else, or cannot be written.
     """
@@ -46,8 +49,20 @@ def save_map_folder(place_map: PlaceMap, folder: Path, extras: Mapping[str, str]
             _write_map(place_map, fresh)
             for name, text in (extras or {}).items():
                 (fresh / name).write_text(text, encoding="utf-8")
+            _copy_others(folder, fresh)
     except OSError as exc:
         raise DataError(f"{folder} cannot be written ({exc.strerror}); choose another folder") from exc
+
+
+def _copy_others(folder: Path, fresh: Path) -> None:
+    """What lies in a folder beside its map."""
+    for path in folder.iterdir() if folder.is_dir() else ():
+        if path.name == CELLS or (fresh / path.name).exists():  # a map without a plan has no cells
+            continue
+        if path.is_dir() and not path.is_symlink():
+            shutil.copytree(path, fresh / path.name, symlinks=True)
+        else:
+            shutil.copy2(path, fresh / path.name, follow_symlinks=False)
 
 
 def _write_map(place_map: PlaceMap, folder: Path) -> None:
