@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 import unicodedata
 from collections.abc import Iterator
 from functools import cache
@@ -11,6 +10,7 @@ from pathlib import Path
 
 import msgspec
 
+from shared.bounded import parse_toml, read_text
 from shared.errors import DataError
 from shared.text import is_printable
 
@@ -75,16 +75,14 @@ def default_words() -> RoomWords:
 def load_room_words(path: Path) -> RoomWords:
     """Raises DataError, naming the file and what is wrong with it."""
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise DataError(f"{path} is larger than a list of room words may be ({MAX_FILE_BYTES / 1e6:.0f} MB)")
-        content = tomllib.loads(path.read_text("utf-8"))
+        content = parse_toml(read_text(path, MAX_FILE_BYTES).removeprefix("\ufeff"))  # some editors begin with it
         words = msgspec.convert(content, RoomWords)
     except OSError as exc:
         raise DataError(f"{path} cannot be read ({exc.strerror}); give a list of room words, a .toml") from exc
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as exc:
-        raise DataError(f"{path} is no TOML file: {exc}; {DEFAULT} is one to copy") from exc
     except msgspec.ValidationError as exc:
         raise DataError(f"{path} is no list of room words: {exc}; {DEFAULT} is one to copy") from exc
+    except ValueError as exc:
+        raise DataError(f"{path} is no TOML file: {exc}; {DEFAULT} is one to copy") from exc
     if complaint := next(_complaints(words), None):
         raise DataError(f"{path}: {complaint}")
     return words

@@ -42,6 +42,7 @@ def test_every_shipped_word_says_what_it_looks_like() -> None:
     ("content", "complaint"),
     [
         ("rooms = [", "no TOML file"),
+        ("x = " + "9" * 5000, "no TOML file"),
         ("[[rooms]]\nnam = 'Kitchen'", "no list of room words"),
         ("[[rooms]]\nname = 7", "no list of room words"),
         ("[[rooms]]\nname = 'Kitchen'\nlooks = ['x']", "looks"),
@@ -49,7 +50,7 @@ def test_every_shipped_word_says_what_it_looks_like() -> None:
         ("[[rooms]]\nname = ' '", "1 to 80 characters"),
         ("[[rooms]]\nname = 'Kitchen'\nlooks_like = ['']", "1 to 300 characters"),
         ("[[rooms]]\nname = 'A'\nwritten = ['x']\n[[rooms]]\nname = 'X'", "written for A and for X"),
-        ("x = '" + "a" * 1_000_001 + "'", "larger than"),
+        ("x = '" + "a" * 1_000_001 + "'", "more than"),
     ],
 )
 def test_a_list_that_cannot_be_used_is_refused_in_a_sentence(tmp_path: Path, content: str, complaint: str) -> None:
@@ -67,6 +68,13 @@ def test_a_list_that_is_not_there_or_no_text_is_refused(tmp_path: Path) -> None:
             load_room_words(path)
 
 
+@pytest.mark.timeout(20)
+def test_what_gives_bytes_without_end_is_no_list() -> None:
+    with pytest.raises(DataError, match="it is a device"):
+        load_room_words(Path("/dev/zero"))
+
+
 def test_the_default_can_be_copied(tmp_path: Path) -> None:
-    (tmp_path / "mine.toml").write_bytes(DEFAULT.read_bytes())
-    assert load_room_words(tmp_path / "mine.toml") == default_words()
+    for mark in (b"", b"\xef\xbb\xbf"):  # some editors begin a text with it
+        (tmp_path / "mine.toml").write_bytes(mark + DEFAULT.read_bytes())
+        assert load_room_words(tmp_path / "mine.toml") == default_words()
