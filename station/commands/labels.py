@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,8 +17,9 @@ from shared.text import printable
 from station.commands.map_store import MapArgument, is_folder, open_map, open_store
 from station.commands.options import Config, Data, Json
 from station.commands.progress import working
+from station.files.unwritable import cannot_write, why_unwritable
 from station.library.maps import MAX_WHY
-from station.maps.folder import save_map_folder
+from station.maps.folder import load_map_folder, save_map_folder
 from station.model.floor_plan import NameSuggestion
 from station.model.frames import decode_picture
 from station.model.place_map import PlaceMap
@@ -68,31 +69,41 @@ def labels(
     The suggestions of an earlier run are replaced. A running station shows them once the map is chosen again.
     """
     place_map = open_map(which, data, config)
-    plan = require_plan(place_map)
+    require_plan(place_map)
+    _require_writable(which, data, config)
     room_words = load_room_words(words)
     if embeddings is not None:
-        look, unseen = phrases_look(embeddings, label_list, room_words)
+        look, seen = phrases_look(embeddings, label_list, room_words)
     elif label_list is not None:
-        look, unseen = labels_look(label_list, room_words)
+        look, seen = labels_look(label_list, room_words)
     else:
         raise DataError("give --embeddings for a model like CLIP, or --labels for a classifier or detector")
     network = ImageModel(model, pixels or ("clip" if embeddings is not None else "unit"), size)
     votes, took_ms = _look_at(place_map, network, look, pictures)
     called_model = printable(model.name)
-    found = suggestions_by_votes(place_map, plan, votes, room_words, called_model)
-    _keep(which, data, config, place_map, found, f"{called_model} looked at the rooms"[:MAX_WHY])
-    names = [word.name for word in room_words.rooms]
+
+    def with_names(now: PlaceMap) -> PlaceMap:
+        """The map as it is by now: people may have named rooms while the model looked."""
+        if now.navigation.keyframes.encoded != place_map.navigation.keyframes.encoded:
+            raise DataError(f"{which} was built anew while the model looked at its pictures; run again")
+        found = suggestions_by_votes(now, require_plan(now), votes, seen, called_model)
+        return with_suggestions_of(now, "model", found)
+
+    place_map = _edit(which, data, config, with_names, f"{called_model} looked at the rooms"[:MAX_WHY])
+    found = [s for s in place_map.suggestions if s.source == "model"]
+    unseen = [word.name for word in room_words.rooms if word not in seen.rooms]
+    names = [*(word.name for word in seen.rooms), "none"]
     latency = {"median": round(float(np.median(took_ms)), 3), "p95": round(float(np.percentile(took_ms, 95)), 3)}
     if as_json:
         print(json.dumps(_summary(place_map, votes, names, found, unseen, latency)))
         return
-    called = {room.id: room.name for room in plan.rooms}
+    called = {room.id: room.name for room in require_plan(place_map).rooms}
     for s in found:
         print(f"{called[s.room]}: {s.name}? ({s.confidence:.0%}) {s.reason}")
     if not found:
-        print("no suggestion: what the views show speaks for no name that its room has not")
+        print("No suggestion.")
     if unseen:
-        print(f"{model.name} is asked for no {', '.join(unseen)}: none of its labels stands for it in {words}")
+        print(f"{model.name} cannot recognise: {', '.join(unseen)} (no label for them)")
     print(
         f"{len(took_ms)} pictures, each {latency['median']:.0f} ms of one core (median; "
         f"95 %: {latency['p95']:.0f} ms); click into a room on the page to use a name"
@@ -123,23 +134,31 @@ def _look_at(place_map: PlaceMap, network: ImageModel, look: Look, most: int) ->
     return Votes(np.array(chosen, dtype=np.int64), np.array(votes)), took_ms
 
 
-def _keep(
-    which: str, data: Path | None, config: Path | None, seen: PlaceMap, found: tuple[NameSuggestion, ...], why: str
-) -> None:
-    """Into the map as it is by now: people may have named rooms while the model looked."""
-    change = partial(with_suggestions_of, source="model", found=found)
-    if is_folder(which):
-        save_map_folder(change(seen), Path(which), {"graph.graphml": to_graphml(seen)})
-    else:
-        open_store(data, config).edit(which, change, why)
+def _require_writable(which: str, data: Path | None, config: Path | None) -> None:
+    """Before long work whose result is to be kept there. Raises DataError."""
+    if not is_folder(which):
+        open_store(data, config).require_writable()
+    elif told := why_unwritable(Path(which).absolute().parent):  # the folder is replaced as a whole
+        raise cannot_write(Path(which), told)
+
+
+def _edit(
+    which: str, data: Path | None, config: Path | None, change: Callable[[PlaceMap], PlaceMap], why: str
+) -> PlaceMap:
+    """Change the map as it is by now, and return it."""
+    if not is_folder(which):
+        return open_store(data, config).edit(which, change, why)
+    place_map = change(load_map_folder(Path(which)))
+    save_map_folder(place_map, Path(which), {"graph.graphml": to_graphml(place_map)})
+    return place_map
 
 
 def _summary(
     place_map: PlaceMap,
     votes: Votes,
     names: list[str],
-    found: tuple[NameSuggestion, ...],
-    unseen: tuple[str, ...],
+    found: list[NameSuggestion],
+    unseen: list[str],
     latency: dict[str, float],
 ) -> dict[str, Any]:
     _, of_places = votes.of_places(place_map)
@@ -155,10 +174,10 @@ def _summary(
             for s in found
         ],
         "places": {
-            place.id: {name: round(float(p), 3) for name, p in zip(names, vote, strict=False)}
+            place.id: {name: round(float(p), 3) for name, p in zip(names, vote, strict=True)}
             for place, vote in zip(place_map.places, of_places, strict=True)
         },
-        "unseen": list(unseen),
+        "unseen": unseen,
         "pictures": len(votes.p),
         "latency_ms": latency,
     }

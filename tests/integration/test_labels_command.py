@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import errno
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
+from station.commands import labels
 from station.main import app
+from station.maps import store as maps_store
 from station.maps.folder import load_map_folder, save_map_folder
 from station.maps.store import MapStore
-from tests.support.coloured_rooms import BLUE, GREEN, GREY, RED, coloured_rooms
+from station.places.rooms.edits import with_room_renamed
+from tests.support.coloured_rooms import BLUE, GREEN, GREY, RED, Colour, coloured_rooms
 from tests.support.onnx_models import (
     save_colour_classifier,
     save_colour_detector,
@@ -69,6 +75,7 @@ def test_classifiers_and_detectors_vote_too_and_again_replaces_what_they_said(tm
     assert [(s["room"], s["name"]) for s in told["suggestions"]] == [("room-k", "Kitchen")]
     assert told["places"]["p0"]["Living room"] > 0.5 and told["places"]["p3"]["Bathroom"] > 0.5
     assert told["pictures"] == 7 and told["latency_ms"]["median"] > 0 and "Office" in told["unseen"]
+    assert set(told["places"]["p0"]) == {"Kitchen", "Living room", "Bathroom", "none"}
     assert len(load_map_folder(folder).suggestions) == 1
 
 
@@ -93,6 +100,92 @@ def test_a_list_of_words_of_ones_own_says_what_is_looked_for(tmp_path: Path) -> 
     options = "--embeddings", phrases(tmp_path), "--pixels", "unit", "--words", words
     assert run(folder, "--model", model, *options).exit_code == 0
     assert {s.name for s in load_map_folder(folder).suggestions} == {"Oven museum"}
+
+
+def detector(tmp_path: Path) -> tuple[str | Path, ...]:
+    """Options of one that sees ovens, tubs and couches."""
+    labels = tmp_path / "labels.txt"
+    labels.write_text("oven\nbathtub\ncouch\n")
+    return "--model", save_colour_detector(tmp_path / "d.onnx"), "--labels", labels
+
+
+def test_a_room_of_which_the_model_has_no_word_says_nothing_of_the_model(tmp_path: Path) -> None:
+    options = detector(tmp_path)
+    confidences = []
+    for name in ("", "Hall"):
+        flat = coloured_rooms(*FLAT)
+        save_map_folder(with_room_renamed(flat, "room-l", name) if name else flat, tmp_path / "map")
+        done = run(tmp_path / "map", *options)
+        assert done.exit_code == 0, done.output
+        assert "d.onnx cannot recognise: Bedroom, " in done.stdout and "Hall" in done.stdout
+        by_room = {s.room: s for s in load_map_folder(tmp_path / "map").suggestions}
+        assert by_room["room-k"].name == "Kitchen" and "Nobody knows yet" in by_room["room-k"].reason
+        confidences.append(by_room["room-k"].confidence)
+    assert confidences[0] == confidences[1]
+
+
+def while_it_looks(monkeypatch: pytest.MonkeyPatch, happens: Callable[[], object]) -> None:
+    look_at = labels._look_at
+
+    def look(*arguments: Any) -> Any:
+        found = look_at(*arguments)
+        happens()
+        return found
+
+    monkeypatch.setattr(labels, "_look_at", look)
+
+
+FEWER = [[BLUE]], [[RED]]
+AS_MANY = [[GREEN, GREEN]], [[RED, RED, GREY], [RED], [GREEN]]
+
+
+@pytest.mark.parametrize("other", [FEWER, AS_MANY])
+def test_a_map_that_is_built_anew_while_the_model_looks_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, other: tuple[list[list[Colour]], list[list[Colour]]]
+) -> None:
+    store, folder, options = MapStore(tmp_path / "data" / "maps"), flat(tmp_path), detector(tmp_path)
+    store.save(coloured_rooms(*FLAT))
+
+    def build_anew() -> None:
+        store.save(coloured_rooms(*other))
+        save_map_folder(coloured_rooms(*other), folder)
+
+    while_it_looks(monkeypatch, build_anew)
+    for which in ((folder,), ("map-1", "--data", tmp_path / "data")):
+        store.save(coloured_rooms(*FLAT))
+        save_map_folder(coloured_rooms(*FLAT), folder)
+        done = run(*which, *options)
+        assert "was built anew" in str(done.exception) and "run again" in str(done.exception)
+    for place_map in (load_map_folder(folder), store.load("map-1")):
+        assert place_map.suggestions == () and len(place_map.places) == len([*other[0], *other[1]])
+
+
+def test_what_people_do_to_a_folder_while_the_model_looks_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, options = flat(tmp_path), detector(tmp_path)
+    (folder / "notes").mkdir()
+    (folder / "notes" / "mine.txt").write_text("my own")
+
+    def name_the_room() -> None:
+        save_map_folder(with_room_renamed(load_map_folder(folder), "room-k", "Anna"), folder)
+
+    while_it_looks(monkeypatch, name_the_room)
+    done = run(folder, *options)
+    assert done.exit_code == 0 and "No suggestion." in done.stdout, done.output
+    place_map = load_map_folder(folder)
+    assert place_map.plan_edits.names == {"room-k": "Anna"} and place_map.suggestions == ()
+    assert (folder / "notes" / "mine.txt").read_text() == "my own"
+
+
+def test_whether_it_can_be_kept_is_asked_before_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store, folder, (_, *options) = MapStore(tmp_path / "data" / "maps"), flat(tmp_path), detector(tmp_path)
+    store.save(coloured_rooms(*FLAT))
+    for module in (labels, maps_store):
+        monkeypatch.setattr(module, "why_unwritable", lambda _: OSError(errno.EROFS, "Read-only file system"))
+    for which in ((folder,), ("map-1", "--data", tmp_path / "data")):
+        done = run(*which, "--model", tmp_path / "none.onnx", *options[1:])
+        assert "Read-only file system" in str(done.exception), done.exception
 
 
 def test_what_cannot_be_used_is_refused_in_a_sentence_and_changes_nothing(tmp_path: Path) -> None:

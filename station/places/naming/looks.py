@@ -6,6 +6,7 @@ with probabilities (a classifier) or boxes (a detector).
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from shared.bounded import Refused, open_file, read_text
 from shared.errors import DataError
 from shared.geometry import FloatArray
 from shared.text import is_printable
@@ -32,7 +34,7 @@ Look = Callable[[FloatArray], FloatArray]  # a model's answer to one picture -> 
 class Phrases:
     """Embeddings of what each word looks like; the picture's own is the answer of a model like CLIP."""
 
-    text: FloatArray  # (W + 1, d) unit vectors; zero for a word of which no phrase is known
+    text: FloatArray  # (W + 1, d) unit vectors; zero for nothing where no phrase of it is known
 
     def __call__(self, answer: FloatArray) -> FloatArray:
         """Raises DataError: the answer has another length."""
@@ -74,8 +76,11 @@ class Labels:
         return np.append(speaks, max(0.0, 1 - float(speaks.sum())))
 
 
-def phrases_look(path: Path, names: Path | None, words: RoomWords) -> tuple[Look, tuple[str, ...]]:
-    """How to read a model like CLIP, and the words without an embedded phrase. Raises DataError, naming the file."""
+def phrases_look(path: Path, names: Path | None, words: RoomWords) -> tuple[Look, RoomWords]:
+    """How to read a model like CLIP, and the words it votes for: those with an embedded phrase.
+
+    Raises DataError, naming the file.
+    """
     known, vectors = _read_embeddings(path, names)
     if vectors.ndim != 2 or len(vectors) != len(known) or not vectors.shape[1]:
         raise DataError(f"{path} has {len(known)} names and embeddings of {_shape(vectors)}; give one row a name")
@@ -83,21 +88,23 @@ def phrases_look(path: Path, names: Path | None, words: RoomWords) -> tuple[Look
     if not np.isfinite(lengths).all() or not lengths.all():
         raise DataError(f"{path} has an embedding without direction; embed its phrases again")
     unit = vectors / lengths[:, None]
+    words = _known(known, words, path)
     text = np.zeros((len(words.rooms) + 1, unit.shape[1]))
     for vector, columns in zip(unit, _columns(known, words), strict=True):
         text[columns] += vector  # the mean direction of all phrases of a word (Radford et al., 3.1.4)
     lengths = np.linalg.norm(text, axis=1, keepdims=True)
     text = np.divide(text, lengths, out=np.zeros_like(text), where=lengths > 0)
-    return Phrases(text), _unknown(np.any(text, axis=1).tolist(), words, path)
+    return Phrases(text), words
 
 
-def labels_look(path: Path, words: RoomWords) -> tuple[Look, tuple[str, ...]]:
-    """How to read a classifier or detector, and the words that none of its labels stands for. Raises DataError."""
+def labels_look(path: Path, words: RoomWords) -> tuple[Look, RoomWords]:
+    """How to read a classifier or detector, and the words it votes for: those with a label. Raises DataError."""
     labels = _read_list(path)
+    words = _known(labels, words, path)
     share = np.zeros((len(labels), len(words.rooms) + 1))
     for row, columns in zip(share, _columns(labels, words), strict=True):
         row[columns or [-1]] = 1 / max(len(columns), 1)
-    return Labels(share), _unknown(np.any(share, axis=0).tolist(), words, path)
+    return Labels(share), words
 
 
 def softmax(x: FloatArray) -> FloatArray:
@@ -116,22 +123,21 @@ def _columns(labels: Sequence[str], words: RoomWords) -> list[list[int]]:
     return [stands.get(label.casefold(), []) for label in labels]
 
 
-def _unknown(is_known: list[bool], words: RoomWords, path: Path) -> tuple[str, ...]:
-    """Names of words that the model cannot see. Raises DataError where it sees none."""
-    unknown = tuple(word.name for word, known in zip(words.rooms, is_known[:-1], strict=True) if not known)
-    if len(unknown) == len(words.rooms):
+def _known(labels: Sequence[str], words: RoomWords, path: Path) -> RoomWords:
+    """The words that some label stands for: of the others the model can say nothing. Raises DataError: of all."""
+    known = {column for columns in _columns(labels, words) for column in columns}
+    rooms = tuple(word for n, word in enumerate(words.rooms) if n in known)
+    if not rooms:
         raise DataError(
             f"{path} has nothing that a room word looks like; edit looks_like in a copy of the list (--words)"
         )
-    return unknown
+    return RoomWords(rooms, words.nothing)
 
 
 def _read_list(path: Path) -> list[str]:
     """Labels, one a line. Raises DataError."""
     try:
-        if path.stat().st_size > MAX_LIST_BYTES:
-            raise DataError(f"{path} is larger than a list of labels may be ({MAX_LIST_BYTES / 1e6:.0f} MB)")
-        lines = path.read_text("utf-8").splitlines()
+        lines = read_text(path, MAX_LIST_BYTES).removeprefix("\ufeff").splitlines()  # some editors begin with it
     except OSError as exc:
         raise DataError(f"{path} cannot be read ({exc.strerror}); give a text file with one label a line") from exc
     except UnicodeDecodeError as exc:
@@ -155,9 +161,9 @@ def _read_embeddings(path: Path, names: Path | None) -> tuple[list[str], FloatAr
     if path.suffix.lower() == ".npy" and names is None:
         raise DataError(f"{path} has no names; give them with --labels, one a line")
     try:
-        if path.stat().st_size > MAX_EMBEDDING_BYTES:
-            raise DataError(f"{path} is larger than embeddings may be ({MAX_EMBEDDING_BYTES / 1e6:.0f} MB)")
-        with path.open("rb") as file:
+        with open_file(path) as file:
+            if file.seek(0, os.SEEK_END) > MAX_EMBEDDING_BYTES:
+                raise Refused(f"it has more than {MAX_EMBEDDING_BYTES / 1e6:.0f} MB")
             if path.suffix.lower() == ".npy":
                 array, written = read_array(file), None
             else:
@@ -175,7 +181,10 @@ def _read_embeddings(path: Path, names: Path | None) -> tuple[list[str], FloatAr
 def _texts(names: npt.NDArray[Any] | None, path: Path) -> list[str]:
     if names is None or names.dtype.kind != "U" or names.ndim != 1:
         raise DataError(f"{path}: `names` is no row of texts; write it as numpy.array([...]) of str")
-    return [str(name) for name in names]
+    try:
+        return [str(name) for name in names]
+    except (ValueError, SystemError) as exc:  # a number beyond the last character: some interpreters raise either
+        raise DataError(f"{path}: `names` holds what is no character; write it as numpy.array([...]) of str") from exc
 
 
 def _shape(array: npt.NDArray[Any]) -> str:

@@ -11,14 +11,12 @@ chosen. Of a model that nobody knows it is as likely as not that its votes mean 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from shared.geometry import FloatArray, IntArray
 from station.model.floor_plan import FloorPlan, NameSuggestion
-from station.model.navigation import Landmarks
 from station.model.place_map import PlaceMap
 from station.places.naming.looks import softmax
 from station.places.naming.room_words import RoomWords
@@ -48,7 +46,9 @@ def suggestions_by_votes(
 ) -> tuple[NameSuggestion, ...]:
     """The likeliest name of each room that no person named, unless its views show nothing that speaks for a room.
 
-    `model`: what a person calls it.
+    All that are equally likely: the thing that speaks for one may speak for the other, as a toilet does. `words` are
+    those that were voted for: a room that a person called otherwise says nothing of the model. `model`: what a person
+    calls it.
     """
     share, of_places = votes.of_places(place_map)
     if not plan.rooms:
@@ -64,40 +64,37 @@ def suggestions_by_votes(
     of_rooms = np.array([of_places[rows].mean(axis=0) if rows else np.zeros(votes.p.shape[1]) for rows in rooms_places])
     named = {n: number for n, number in _named_rooms(place_map, plan, words) if rooms_places[n]}
     weights = temperature_weights(of_rooms[list(named)], np.array(list(named.values()), dtype=np.int64))
-    right = sum(int(of_rooms[n].argmax()) == number for n, number in named.items())
-    record = f"Of the rooms named here it knows {right} of {len(named)}" if named else UNTRIED
+    says = {n: _likeliest(of_rooms[n]) for n in named}
+    right = sum((number in says[n]) / len(says[n]) for n, number in named.items())  # one of two counts half
+    record = f"Of the rooms named here it knows {round(right, 1):g} of {len(named)}" if named else UNTRIED
     found = []
     for room, rows, vote in zip(plan.rooms, rooms_places, of_rooms, strict=True):
         if not rows or room.id in place_map.plan_edits.names:
             continue
         p = read_votes(vote, weights)
-        word = int(p.argmax())
-        if word == len(words.rooms) or words.number_of(room.name) == word:
+        likeliest = _likeliest(p)
+        if len(words.rooms) in likeliest or words.number_of(room.name) in likeliest:
             continue
         shown = share[rows].sum(axis=0)
-        best = int((shown * votes.p[:, word]).argmax())
-        keyframe = int(votes.keyframe_index[best])
-        name = words.rooms[word].name
-        found.append(
+        found += [
             NameSuggestion(
                 room=room.id,
-                name=name,
+                name=(name := words.rooms[word].name),
                 source="model",
                 confidence=float(p[word]) * room.certainty,
                 reason=f"{model} gives {vote[word]:.0%} of the votes of {_count(int((shown > 0).sum()), 'picture')} "
                 f"of {_count(len(rows), 'place')} to {name}. {record}.",
-                keyframe_index=keyframe,
-                p_map=_subject(place_map, keyframe, rows),
+                keyframe_index=int(votes.keyframe_index[(shown * votes.p[:, word]).argmax()]),
             )
-        )
+            for word in likeliest
+        ]
     return tuple(found)
 
 
 def temperature_weights(votes: FloatArray, truth: IntArray) -> FloatArray:
     """(T,) how probable each of TEMPERATURES is, by votes (R, W + 1) for rooms and the numbers (R,) of their names."""
-    likelihood = np.array([_tempered(votes, T)[np.arange(len(votes)), truth].prod() for T in TEMPERATURES])
-    weights = PRIOR * likelihood
-    return np.asarray(weights / weights.sum())
+    log_likelihood = [np.log(_tempered(votes, T)[np.arange(len(votes)), truth]).sum() for T in TEMPERATURES]
+    return softmax(np.log(PRIOR) + np.array(log_likelihood))
 
 
 def read_votes(votes: FloatArray, weights: FloatArray) -> FloatArray:
@@ -107,6 +104,11 @@ def read_votes(votes: FloatArray, weights: FloatArray) -> FloatArray:
 
 def _tempered(votes: FloatArray, temperature: float) -> FloatArray:
     return softmax(np.log(np.maximum(votes, LEAST_VOTE)) / temperature)
+
+
+def _likeliest(p: FloatArray) -> list[int]:
+    """Which of p (W + 1,) are the largest: several where they differ by no more than rounding."""
+    return [int(n) for n in np.flatnonzero(np.isclose(p, p.max()))]
 
 
 def _named_rooms(place_map: PlaceMap, plan: FloorPlan, words: RoomWords) -> list[tuple[int, int]]:
@@ -129,15 +131,6 @@ def _shown(place_map: PlaceMap, keyframe_index: IntArray) -> FloatArray:
     counts = np.zeros((len(places) + 1, len(keyframe_index)))
     np.add.at(counts, (place_of[landmarks.observed_landmark[rows]], view[rows]), 1.0)
     return np.asarray(counts[:-1] / np.maximum(counts.sum(axis=0), 1.0))
-
-
-def _subject(place_map: PlaceMap, keyframe: int, rows: Sequence[int]) -> FloatArray:
-    """(3,) the landmark in the middle of what a picture shows of these places."""
-    landmarks: Landmarks = place_map.navigation.landmarks
-    of_places = np.concatenate([place_map.places[n].landmark_index for n in rows])
-    seen = np.unique(landmarks.observed_landmark[landmarks.observed_keyframe == keyframe])
-    p = landmarks.p_world[np.intersect1d(seen, of_places)]
-    return np.asarray(p[np.linalg.norm(p - np.median(p, axis=0), axis=1).argmin()])
 
 
 def _count(number: int, word: str) -> str:

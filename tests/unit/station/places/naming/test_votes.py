@@ -39,7 +39,6 @@ def test_a_room_is_called_what_its_places_vote_for_however_often_one_was_looked_
     (found,) = suggestions_by_votes(flat, flat.plan, votes, WORDS, "colours.onnx")
     assert (found.room, found.name, found.source) == ("room-k", "Kitchen", "model")
     assert found.keyframe_index in (11, 12)
-    assert found.p_map is not None and found.p_map[1] == pytest.approx(0.1 * (found.keyframe_index - 9))
     assert "12 pictures of 3 places" in found.reason and "Nobody knows yet how good it is" in found.reason
 
 
@@ -74,6 +73,41 @@ def test_a_model_that_nobody_knows_is_believed_by_half_and_more_once_it_was_righ
     assert doubted.confidence < 0.35 and "0 of 1" in doubted.reason
 
 
+def test_a_room_gets_the_name_that_its_places_vote_for_wherever_their_landmarks_lie() -> None:
+    """One looks through the door: the place is one of the kitchen, what it shows lies in the living room."""
+    flat = coloured_rooms([[GREY]], [[GREY]])
+    landmarks = flat.navigation.landmarks
+    through = replace(landmarks, p_world=np.array([[1.0, 0.0, 0.3], [1.0, 0.1, 0.3]]))
+    flat = replace(flat, navigation=replace(flat.navigation, landmarks=through))
+    assert flat.plan is not None
+    found = suggestions_by_votes(flat, flat.plan, seen(NOTHING, KITCHEN), WORDS, "m")
+    kept = with_suggestions_of(flat, "model", found).suggestions
+    assert [(s.room, s.name) for s in kept] == [("room-k", "Kitchen")]
+
+
+def test_what_speaks_for_two_names_alike_suggests_both_and_counts_half() -> None:
+    flat = coloured_rooms([[GREY]], [[GREY]])
+    assert flat.plan is not None
+    either = (KITCHEN + BEDROOM) / 2
+    both = suggestions_by_votes(flat, flat.plan, seen(NOTHING, either), WORDS, "m")
+    assert [(s.room, s.name) for s in both] == [("room-k", "Kitchen"), ("room-k", "Bedroom")]
+    assert both[0].confidence == pytest.approx(both[1].confidence) and both[0].confidence < 0.5
+    known = named(flat, room_k="Bedroom")
+    assert known.plan is not None
+    (found,) = suggestions_by_votes(known, known.plan, seen(KITCHEN, either), WORDS, "m")
+    assert "it knows 0.5 of 1" in found.reason
+    undecided = (KITCHEN + NOTHING) / 2
+    assert suggestions_by_votes(flat, flat.plan, seen(NOTHING, undecided), WORDS, "m") == ()
+
+
+def test_many_rooms_that_a_model_does_not_know_leave_its_votes_worth_nothing() -> None:
+    truth = np.tile([0, 1, 2], 200)  # 0.25 to the 600th is no number any more
+    wrong = np.array([KITCHEN, BEDROOM, LIVING])[(truth + 1) % 3]
+    weights = temperature_weights(wrong, truth)
+    np.testing.assert_allclose(weights, [0, 0, 0, 0, 0, 1], atol=1e-6)
+    np.testing.assert_allclose(read_votes(KITCHEN, weights), 0.25, atol=1e-6)
+
+
 def test_rooms_that_a_person_named_and_rooms_without_a_view_get_none() -> None:
     flat = named(coloured_rooms([[GREY]], [[GREY]]), room_k="Anna")
     assert flat.plan is not None
@@ -104,30 +138,38 @@ def test_a_suggestion_is_no_surer_than_the_plan_is_and_stays_beside_those_of_oth
     assert [(s.source, s.confidence) for s in again.suggestions] == [("model", 0.2), ("sticker", sure.confidence)]
 
 
-def drawn(rng: np.random.Generator, rooms: int, skill: float) -> tuple[FloatArray, IntArray]:
-    """Votes (R, 5) for rooms of made-up truth (R,), by a model that is right as often as it says, times its skill."""
-    truth = rng.integers(0, 4, rooms)
+def drawn(rng: np.random.Generator, rooms: int, temperature: float, unseen: float) -> tuple[FloatArray, IntArray]:
+    """Votes (R, 5) for rooms of made-up truth (R,): each is there as often as the vote at this temperature says.
+
+    Of a share of rooms the model has no word; their truth is 5, and they look like any other.
+    """
     votes = np.concatenate([rng.dirichlet(np.full(4, 0.4), rooms), np.full((rooms, 1), 1e-3)], axis=1)
     votes /= votes.sum(axis=1, keepdims=True)
-    for vote, number in zip(votes, truth, strict=True):
-        if rng.random() < skill:  # what it votes for most is the truth as often as its vote says
-            meant = rng.choice(5, p=vote)
-            vote[[meant, number]] = vote[[number, meant]]
-    return votes, truth
+    odds = votes ** (1 / temperature)
+    truth = np.array([rng.choice(5, p=p) for p in odds / odds.sum(axis=1, keepdims=True)])
+    return votes, np.where(rng.random(rooms) < unseen, 5, truth)
 
 
-def test_what_is_said_to_be_probable_is_right_as_often_whether_the_model_is_good_or_worthless() -> None:
-    """Half of 400 models are worthless, as the prior has it; eight rooms of each are named."""
+@pytest.mark.parametrize(("unseen", "most"), [(0.0, 0.02), (0.1, 0.05)])
+def test_what_is_said_to_be_probable_is_right_as_often_whether_the_model_is_good_or_worthless(
+    unseen: float, most: float
+) -> None:
+    """Half of 2000 models are worthless, as the prior has it, the others too bold or too timid by up to eight times.
+
+    That is more than the temperatures tried, and none of them. Eight rooms of each are named. What cannot be known
+    from these: that a room is of a kind that the model has no word for.
+    """
     rng = np.random.default_rng(20)
     said, right, as_voted = [], [], []
-    for model in range(400):
-        votes, truth = drawn(rng, 40, skill=float(model % 2))
-        p = read_votes(votes[8:], temperature_weights(votes[:8], truth[:8]))
+    for model in range(2000):
+        votes, truth = drawn(rng, 40, np.inf if model % 2 else float(8 ** rng.uniform(-1, 1)), unseen)
+        known = np.flatnonzero(truth[:8] < 5)
+        p = read_votes(votes[8:], temperature_weights(votes[known], truth[known]))
         said.append(p.max(axis=1))
         as_voted.append(votes[8:].max(axis=1))
         right.append(p.argmax(axis=1) == truth[8:])
     p_said, is_right = np.concatenate(said), np.concatenate(right)
     bins = np.digitize(p_said, np.linspace(0, 1, 11))
     gaps = [(float((bins == b).mean()), abs(p_said[bins == b].mean() - is_right[bins == b].mean())) for b in set(bins)]
-    assert sum(share * gap for share, gap in gaps) < 0.05
+    assert sum(share * gap for share, gap in gaps) < most
     assert abs(np.concatenate(as_voted).mean() - is_right.mean()) > 0.15  # what it is like without
