@@ -19,7 +19,7 @@ from station.model.frames import ImageArray
 
 MAX_MODEL_BYTES = 2**31  # no ONNX file has more: a protobuf message cannot
 MAX_SIDE_PX = 2048  # of its input: 50 MB as floats
-MAX_OUTPUTS = 10_000_000  # numbers; a detector of 365 classes at 2048 px has some 30 million, at 640 px three
+MAX_OUTPUTS = 10_000_000  # numbers; a detector of 80 classes has 7 million at 2048 px, one of 365 at 640 px three
 
 Pixels = Literal["clip", "unit", "imagenet"]
 # Mean and standard deviation of red, green and blue in 0..1 that are taken out.
@@ -64,8 +64,15 @@ class ImageModel:
             (answer,) = self._session.run([self._output], {self._input: self._prepared(bgr)})
         except _failures() as exc:
             raise DataError(f"{self.path} cannot be run on a picture of {self.side} px: {_first_line(exc)}") from exc
-        if not isinstance(answer, np.ndarray) or answer.ndim < 2 or answer.shape[0] != 1 or answer.size > MAX_OUTPUTS:
+        if not isinstance(answer, np.ndarray) or answer.ndim < 2 or answer.shape[0] != 1:
             raise DataError(f"{self.path} answers with {_described(answer)}; its first output must be of one picture")
+        if answer.dtype.kind not in "fiu":
+            raise DataError(f"{self.path} answers with {answer.dtype}; its first output must be numbers")
+        if answer.size > MAX_OUTPUTS:
+            raise DataError(
+                f"{self.path} answers with {answer.size} numbers, more than the {MAX_OUTPUTS} that are read; export it "
+                "for smaller pictures, or give a smaller --size"
+            )
         found = answer[0].astype(np.float64)
         if not np.isfinite(found).all():
             raise DataError(f"{self.path} answers with numbers that are none; are --pixels and the file right?")

@@ -37,6 +37,12 @@ def save_colour_detector(path: Path) -> Path:
     return _save(path, (1, 3, SIDE_PX, SIDE_PX), nodes, [1, 7, 1], constants)
 
 
+def save_text_answer(path: Path) -> Path:
+    """(1, 3) texts, as classifiers of scikit-learn answer with: the mean colour in writing."""
+    nodes = [*_mean_colour("colour"), helper.make_node("Cast", ["colour"], ["answer"], to=TensorProto.STRING)]
+    return _save(path, (1, 3, SIDE_PX, SIDE_PX), nodes, [1, 3], kind=TensorProto.STRING)
+
+
 def _mean_colour(name: str) -> list[NodeProto]:
     return [
         helper.make_node("GlobalAveragePool", ["picture"], ["pooled"]),
@@ -50,12 +56,13 @@ def _save(
     nodes: list[NodeProto],
     answer: list[int],
     constants: Sequence[TensorProto] = (),
+    kind: int = TensorProto.FLOAT,
 ) -> Path:
     graph: GraphProto = helper.make_graph(
         nodes,
         "colour",
         [helper.make_tensor_value_info("picture", TensorProto.FLOAT, list(shape))],
-        [helper.make_tensor_value_info("answer", TensorProto.FLOAT, answer)],
+        [helper.make_tensor_value_info("answer", kind, answer)],
         list(constants),
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)

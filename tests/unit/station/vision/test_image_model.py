@@ -16,6 +16,7 @@ from tests.support.onnx_models import (
     save_colour_classifier,
     save_colour_detector,
     save_colour_embedding,
+    save_text_answer,
 )
 
 
@@ -97,6 +98,17 @@ def test_answers_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
     model = ImageModel(save_colour_classifier(tmp_path / "m.onnx", [[np.inf, 0], [0, 0], [0, 0]]), "unit")
     with pytest.raises(DataError, match="numbers that are none"):
         model(np.zeros((10, 10, 3), np.uint8))
+
+
+def test_answers_in_words_and_answers_that_are_too_long_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    picture = np.zeros((10, 10, 3), np.uint8)
+    with pytest.raises(DataError, match="must be numbers"):
+        ImageModel(save_text_answer(tmp_path / "words.onnx"), "unit")(picture)
+    monkeypatch.setattr(image_model, "MAX_OUTPUTS", 2)
+    with pytest.raises(DataError, match=r"3 numbers, more than the 2 that are read; .* a smaller --size"):
+        ImageModel(save_colour_embedding(tmp_path / "m.onnx"), "unit")(picture)
 
 
 def test_without_the_extra_a_sentence_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
