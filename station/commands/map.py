@@ -88,7 +88,7 @@ def build(
         bar.step("looking for rooms and doors")
         place_map = planned(place_map, old)
         bar.step("looking for stickers that name rooms")
-        place_map = with_suggestions(place_map, bar.step)
+        place_map = with_suggestions(place_map, bar.advance)
     save_map_folder(place_map, out, {"graph.graphml": to_graphml(place_map)})
     if as_json:
         print(json.dumps(to_json_dict(place_map)))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from shared.geometry import FloatArray
+from shared.text import MAX_EXPLANATION, printable
 from station.model.frames import ImageArray
 
 MIN_SCORE = 0.9  # the best false glyph of nearby plates was at 0.71; of small print a fifth is misread at this
@@ -27,25 +30,39 @@ def can_read_print() -> bool:
     return all(importlib.util.find_spec(name) is not None for name in ("rapidocr", "onnxruntime"))
 
 
+class CannotRead(Exception):
+    """The extra is installed and does not work here; says why."""
+
+
+@contextlib.contextmanager
+def _as_cannot_read() -> Iterator[None]:
+    try:
+        yield
+    except Exception as exc:  # an extra: what it cannot load or run, whatever it raises, is no reason for an end
+        raise CannotRead(printable(f"{type(exc).__name__}: {exc}")[:MAX_EXPLANATION]) from exc
+
+
 class PrintReader:
-    """Reads lines of text. 0.2 s of one core a picture of 640 x 480."""
+    """Reads lines of text. 0.2 s of one core a picture of 640 x 480, and half a second more for the first."""
 
     def __init__(self) -> None:
-        """Loads models: half a second. They lie in the package, nothing is fetched."""
-        from rapidocr import RapidOCR
+        """The models lie in the package, and are loaded with the first picture. Raises CannotRead."""
+        with _as_cannot_read():
+            from rapidocr import RapidOCR
 
-        self._read = RapidOCR(
-            params={
-                "Global.log_level": "critical",  # it warns of every picture without text
-                "Global.use_cls": False,  # no text hangs upside down
-                "EngineConfig.onnxruntime.intra_op_num_threads": 1,  # jobs have one core
-                "EngineConfig.onnxruntime.inter_op_num_threads": 1,
-            }
-        )
+            self._read = RapidOCR(
+                params={
+                    "Global.log_level": "critical",  # it warns of every picture without text
+                    "Global.use_cls": False,  # no text hangs upside down
+                    "EngineConfig.onnxruntime.intra_op_num_threads": 1,  # jobs have one core
+                    "EngineConfig.onnxruntime.inter_op_num_threads": 1,
+                }
+            )
 
     def __call__(self, bgr: ImageArray) -> list[PrintedLine]:
-        """What is surely read in a picture (H, W, 3)."""
-        found = self._read(bgr, text_score=MIN_SCORE)
+        """What is surely read in a picture (H, W, 3). Raises CannotRead."""
+        with _as_cannot_read():
+            found = self._read(bgr, text_score=MIN_SCORE)
         if found.boxes is None or found.txts is None or found.scores is None:
             return []
         return [

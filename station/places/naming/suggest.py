@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 
 from station.model.floor_plan import FloorPlan, NameSuggestion
@@ -10,7 +11,9 @@ from station.places.naming.plates import find_plates
 from station.places.naming.room_words import default_words
 from station.places.naming.sightings import suggestions
 from station.places.naming.stickers import find_stickers
-from station.vision.printed import PrintReader, can_read_print
+from station.vision.printed import CannotRead, PrintReader, can_read_print
+
+logger = logging.getLogger(__name__)
 
 
 def suggest_names(
@@ -19,12 +22,16 @@ def suggest_names(
     """All suggestions for the rooms of a plan that are not their names yet. `say` hears how far it is."""
     found = find_stickers(place_map, plan.unit)
     if can_read_print():
-        found += find_plates(
-            place_map,
-            plan,
-            default_words(),
-            PrintReader(),
-            found,
-            lambda n, of: say(f"reading door plates, picture {n + 1} of {of}"),
-        )
+        try:
+            found += find_plates(
+                place_map,
+                plan,
+                default_words(),
+                PrintReader(),
+                found,
+                lambda n, of: say(f"reading door plates, picture {n + 1} of {of}"),
+            )
+        except CannotRead as exc:
+            logger.warning("no door plates are read: %s", exc)
+            say("no door plates are read: the reader does not work here (the log says why)")
     return suggestions(found, plan)

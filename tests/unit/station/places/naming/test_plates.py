@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -94,6 +96,25 @@ def test_without_the_extra_nothing_is_read(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(suggest, "can_read_print", lambda: False)
     place_map = map_of_walls([plate_picture("Pantry")], [(WALL_X - 1.5, BESIDE_DOOR_Y)], [1.5])
     assert suggest_names(place_map, two_rooms()) == ()
+
+
+@pytest.mark.parametrize("is_late", [False, True])
+def test_a_reader_that_does_not_load_costs_the_plates_alone(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, is_late: bool
+) -> None:
+    """At once, as an onnxruntime of another processor, or with the first picture, as a model that is not there."""
+
+    def fail(*_: object, **__: object) -> None:
+        raise RuntimeError("no such model")
+
+    monkeypatch.setattr(suggest, "can_read_print", lambda: True)
+    broken = SimpleNamespace(RapidOCR=(lambda **_: fail) if is_late else fail)
+    monkeypatch.setitem(sys.modules, "rapidocr", broken)
+    hangs = (WALL_X - 1.5, BESIDE_DOOR_Y)
+    both = map_of_walls([sticker_picture("Parlour", 1.5), plate_picture("Pantry")], [hangs] * 2, [1.5] * 2)
+    said: list[str] = []
+    assert [s.name for s in suggest_names(both, two_rooms(), said.append)] == ["Parlour"]
+    assert "no door plates are read" in said[-1] and "RuntimeError: no such model" in caplog.text
 
 
 def test_each_thing_is_read_once_and_from_nearby() -> None:
