@@ -26,7 +26,7 @@ from station.model.navigation import Navigation, NavigationReport
 from station.model.place_map import PlaceGrain, PlaceMap
 from station.model.slam_update import SlamUpdate
 from station.places.joining.growing import keep_places
-from station.places.joining.known_names import names_in, surest_of_each
+from station.places.joining.known_names import names_in
 from station.places.joining.merge import merge_navigations
 from station.places.localisation.described_pictures import DescribedPictures
 from station.places.localisation.index_file import index_of
@@ -41,7 +41,7 @@ from station.workers.executors.opening import open_executor
 from station.workers.library_interface import BuiltMap, LibraryProgram, Progress
 from station.workers.mapping import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
 
-MAX_OTHER_MAPS = 3  # that a new one is compared with
+MAX_OTHER_MAPS = 3  # that a new one is compared with: its home's is mostly the one changed last; each takes seconds
 
 
 class LibraryJobs(LibraryProgram):
@@ -82,7 +82,7 @@ class LibraryJobs(LibraryProgram):
         return BuiltMap(place_map.id, place_map.name, len(place_map.places))
 
     def _names_elsewhere(self, store: MapStore, draft: PlaceMap, config: PlacesConfig) -> tuple[NameSuggestion, ...]:
-        """What people called the same rooms in maps of other drives, the latest first."""
+        """What people called the same rooms in a map of another drive: the latest that knows any."""
         if config.mode == "thesis" or draft.plan is None:
             return ()
         own = set(draft.navigation.id.split("+"))
@@ -91,15 +91,15 @@ class LibraryJobs(LibraryProgram):
             for record in store.records()
             if record.plan is not None and record.plan.edits.names and own.isdisjoint(record.navigation.split("+"))
         ]
-        found: list[NameSuggestion] = []
         for map_id in named[:MAX_OTHER_MAPS]:
             try:
                 other = store.load(map_id)
             except DataError:
                 continue  # it is told of where maps are listed
             self._emit(Progress(0.78, f"looking whether {other.name} is of the same rooms"))
-            found += names_in(other, draft, config)
-        return surest_of_each(found)
+            if found := names_in(other, draft, config):
+                return found
+        return ()
 
     def index_map(self, folders: list[Path], address: StoreAddress) -> None:
         """The index of the map that was built, where most pictures were described while the robot drove.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -10,10 +9,10 @@ import pytest
 
 from station.files.navigation_folder import load_navigation
 from station.maps.store import MapStore
-from station.model.floor_plan import NameSuggestion, Room
+from station.model.floor_plan import Room
 from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
-from station.places.joining.known_names import names_in, surest_of_each
+from station.places.joining.known_names import names_in
 from station.places.making.build import build_map
 from station.places.making.config import PlacesConfig
 from station.places.naming import suggest
@@ -64,14 +63,6 @@ def test_another_home_names_nothing(days: list[PlaceMap], tmp_path: Path) -> Non
     (elsewhere,) = first_days(OTHER_HOME, tmp_path, days=1)
     named = with_room_renamed(elsewhere, largest(elsewhere).id, "Kitchen")
     assert names_in(named, days[1], PlacesConfig()) == ()
-
-
-def test_of_two_maps_that_say_the_same_the_surer_is_kept_and_others_share() -> None:
-    one = NameSuggestion("room-k", "Kitchen", "other map", 0.8, "")
-    kept = surest_of_each([one, replace(one, confidence=0.6)])
-    assert [(s.name, s.confidence) for s in kept] == [("Kitchen", 0.8)]
-    shared = surest_of_each([one, replace(one, name="Pantry", confidence=0.6)])
-    assert [(s.name, s.confidence) for s in shared] == [("Kitchen", 0.4), ("Pantry", 0.3)]
 
 
 def test_the_job_that_makes_a_map_asks_the_others_that_the_station_keeps(

@@ -2,61 +2,61 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable
-from dataclasses import replace
-
 import numpy as np
 
-from shared.geometry import inverse_sim3
+from shared.geometry import FloatArray, inverse_sim3, transform
 from station.model.floor_plan import FloorPlan, NameSuggestion
 from station.model.place_map import PlaceMap
 from station.places.joining.align import align_navigation
 from station.places.making.config import PlacesConfig
-from station.places.rooms.identity import inherited, shared_cells
+from station.places.rooms.identity import one_to_one, shared_cells
 
 
 def names_in(other: PlaceMap, place_map: PlaceMap, config: PlacesConfig) -> tuple[NameSuggestion, ...]:
     """Names that people gave rooms of `other` for the rooms of a map that lie there: none where it is not registered.
 
-    A name is as probable as the part of the room that was called so, and no surer than either plan is of its room.
+    A name is as probable as the part of the room that was called so, of what rooms of both maps cover, and no surer
+    than the registration and either plan of its room. Where the middle of neither room lies in the other they only
+    touch, as two sides of one wall do: that says nothing.
     """
     plan, known = place_map.plan, other.plan
     if plan is None or known is None or not plan.rooms or not known.rooms:
         return ()
     registration = align_navigation(other, place_map.navigation, config)
-    if not registration.accepted or registration.T_target_source is None:
+    T_other_map = registration.T_target_source
+    if not registration.accepted or T_other_map is None:
         return ()
-    T_map_other = inverse_sim3(registration.T_target_source)
+    T_map_other = inverse_sim3(T_other_map)
     labels = plan.room.astype(np.int32) + 1
-    cells = labels, len(plan.rooms), plan.low, plan.cell, plan.R_ground_map, known, T_map_other
-    shared = shared_cells(*cells)
+    shared = shared_cells(labels, len(plan.rooms), plan.low, plan.cell, plan.R_ground_map, known, T_map_other)
+    room_there = known.rooms_at(transform(T_other_map, _middles(plan)))
+    room_here = plan.rooms_at(transform(T_map_other, _middles(known)))
     found = []
-    for label, old in sorted(inherited(*cells).items()):
+    for label, old in sorted(one_to_one(shared).items()):
         room, then = plan.rooms[label - 1], known.rooms[old]
         if then.id not in other.plan_edits.names or room.id in place_map.plan_edits.names:
             continue  # a person did not name it there, or named it here
-        share = float(shared[label, old] / np.count_nonzero(labels == label))
+        if room_there[label - 1] != old and room_here[old] != label - 1:
+            continue
+        seen = int(shared[label].sum())
+        share, coverage = float(shared[label, old] / seen), float(seen / np.count_nonzero(labels == label))
         found.append(
             NameSuggestion(
                 room=room.id,
                 name=then.name,
                 source="other map",
-                confidence=share * min(room.certainty, then.certainty),
-                reason=f'{share:.0%} of this room is {then.name} in the map "{other.name}", which is of the same home.',
+                confidence=share * registration.confidence * min(room.certainty, then.certainty),
+                reason=f'{then.name} in the map "{other.name}": {share:.0%} of the {coverage:.0%} of it that is there.',
                 keyframe_index=_inside(place_map, plan, label - 1),
             )
         )
     return tuple(found)
 
 
-def surest_of_each(found: Iterable[NameSuggestion]) -> tuple[NameSuggestion, ...]:
-    """Of equal names for one room the surest; several names share their confidence."""
-    kept = {(s.room, s.name): s for s in sorted(found, key=lambda s: s.confidence)}
-    names = Counter(room for room, _ in kept)
-    return tuple(
-        replace(s, confidence=s.confidence / names[s.room]) for _, s in sorted(kept.items(), key=lambda i: i[0])
-    )
+def _middles(plan: FloorPlan) -> FloatArray:
+    """(R, 3) of its rooms, in the map, at the height of its origin."""
+    ground = np.array([[*room.middle, 0.0] for room in plan.rooms])
+    return np.asarray(ground @ plan.R_ground_map)
 
 
 def _inside(place_map: PlaceMap, plan: FloorPlan, number: int) -> int | None:

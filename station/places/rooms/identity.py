@@ -22,7 +22,11 @@ def inherited(
 
     `T` (4, 4) carries the previous plan's map frame into this one's, and may be a similarity.
     """
-    shared = shared_cells(labels, count, low, cell, R, previous, T)
+    return one_to_one(shared_cells(labels, count, low, cell, R, previous, T))
+
+
+def one_to_one(shared: IntArray) -> dict[int, int]:
+    """Row -> column, each once, the largest overlaps first; none where there is none."""
     taken: dict[int, int] = {}
     for flat in np.argsort(-shared, axis=None, kind="stable"):
         new, old = (int(k) for k in np.unravel_index(flat, shared.shape))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -12,12 +13,14 @@ from station.files.navigation_folder import save_navigation
 from station.library.place_changes import changes_of
 from station.maps.editing import with_place_renamed
 from station.maps.store import MapStore
+from station.model.floor_plan import NameSuggestion
 from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
 from station.places.making.changes import with_places_merged
 from station.places.rooms.edits import require_plan, with_room_renamed
 from station.workers import library_jobs
 from station.workers.library_jobs import LibraryJobs
+from tests.support.coloured_rooms import GREY, coloured_rooms
 from tests.support.made_up_workers import made_up_navigation
 
 
@@ -55,6 +58,27 @@ def test_what_people_do_while_a_map_is_built_again_stays_and_can_be_undone(
     assert room_names(built)[0] == "Kitchen" and built.plan_edits.names == {room: "Kitchen"}
     assert built.places[0].name == "Sofa" and "Kitchen · 2" in [place.name for place in built.places]
     assert said_changes(store, map_id) == ["the kitchen is named", "the sofa is named"]
+
+
+@pytest.mark.computing
+def test_other_maps_are_asked_until_one_knows_a_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    save_navigation(made_up_navigation(), tmp_path / "drive")
+    store, asked = MapStore(tmp_path / "maps"), []
+    for number in range(5):
+        flat = coloured_rooms([[GREY]], [[GREY]])
+        flat = replace(flat, id=f"map-{number}", navigation=replace(flat.navigation, id=f"nav-{number}"))
+        store.save(with_room_renamed(flat, "room-k", "Kitchen"))
+
+    def names_in(other: PlaceMap, place_map: PlaceMap, _: object) -> tuple[NameSuggestion, ...]:
+        asked.append(other.id)
+        room = require_plan(place_map).rooms[0].id
+        return (NameSuggestion(room, "Kitchen", "other map", 0.5, ""),) if len(asked) % 5 == 2 else ()
+
+    monkeypatch.setattr(library_jobs, "names_in", names_in)
+    monkeypatch.setattr(library_jobs, "with_suggestions", lambda place_map, _: place_map)
+    made = store.load(build(tmp_path))
+    assert len(asked) == 2 and [s.name for s in made.suggestions] == ["Kitchen"]
+    assert store.load(build(tmp_path)).suggestions == () and len(asked) == 5
 
 
 @pytest.mark.computing
