@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -37,10 +36,8 @@ class ImageModel:
         """`side`: of the square that it sees, px, where the file leaves that open.
 
         Raises:
-            DataError: onnxruntime is missing, or the file is none that it can run on a picture.
+            DataError: onnxruntime is missing or does not load, or the file is none that it can run on a picture.
         """
-        if importlib.util.find_spec("onnxruntime") is None:
-            raise DataError(f"{path} needs onnxruntime: {install('labels')}")
         self.path = path
         self._session = _open(path)
         inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
@@ -96,8 +93,10 @@ class ImageModel:
 
 def _open(path: Path) -> Any:
     """An onnxruntime.InferenceSession. Raises DataError."""
-    import onnxruntime
-
+    try:
+        import onnxruntime
+    except ImportError as exc:  # it is not there, or not for this processor
+        raise DataError(f"{path} needs onnxruntime ({_first_line(exc)}): {install('labels')}") from exc
     try:
         if not path.is_file():
             raise DataError(f"{path} is no file; give a model, an .onnx")

@@ -46,7 +46,8 @@ def names_in(other: PlaceMap, place_map: PlaceMap, config: PlacesConfig) -> tupl
                 name=then.name,
                 source="other map",
                 confidence=share * registration.confidence * min(room.certainty, then.certainty),
-                reason=f'{then.name} in the map "{other.name}": {share:.0%} of the {coverage:.0%} of it that is there.',
+                reason=f'Of this room {coverage:.0%} is in the map "{other.name}", and {share:.0%} of that is '
+                f"{then.name} there.",
                 keyframe_index=_inside(place_map, plan, label - 1),
             )
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -112,6 +113,6 @@ def test_answers_in_words_and_answers_that_are_too_long_are_refused(
 
 
 def test_without_the_extra_a_sentence_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(image_model.importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
     with pytest.raises(DataError, match=r"pip install .*\[labels\]"):
         ImageModel(tmp_path / "m.onnx", "unit")

@@ -47,7 +47,8 @@ def test_what_the_other_map_never_saw_says_nothing_against_a_name(monkeypatch: p
     (found,) = suggested(monkeypatch, flat(replace(plan, room=half), room_k="Kitchen"), flat(plan))
     assert (found.room, found.name, found.keyframe_index) == ("room-k", "Kitchen", 1)
     assert found.confidence == pytest.approx(CONFIDENCE)
-    assert f"100% of the {(half == 1).sum() / kitchen:.0%} of it that is there" in found.reason
+    covered = (half == 1).sum() / kitchen
+    assert found.reason == f'Of this room {covered:.0%} is in the map "Monday", and 100% of that is Kitchen there.'
 
 
 def test_a_room_that_is_two_there_is_as_likely_called_as_the_larger_part(monkeypatch: pytest.MonkeyPatch) -> None:
