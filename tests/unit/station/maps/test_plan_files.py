@@ -103,6 +103,18 @@ def test_a_map_folder_lists_rooms_and_keeps_the_plan(planned: PlaceMap, tmp_path
         load_map_folder(tmp_path / "map")
 
 
+def test_a_map_that_replaces_one_in_a_folder_leaves_what_else_lies_there(planned: PlaceMap, tmp_path: Path) -> None:
+    folder = tmp_path / "map"
+    save_map_folder(planned, folder, {"graph.graphml": "old"})
+    (folder / "pictures").mkdir()
+    (folder / "pictures" / "mine.txt").write_text("my own")
+    (folder / "link").symlink_to("pictures")
+    save_map_folder(make_map(), folder, {"graph.graphml": "new"})
+    assert (folder / "link" / "mine.txt").read_text() == "my own" and (folder / "link").is_symlink()
+    assert (folder / "graph.graphml").read_text() == "new" and not (folder / CELLS).exists()
+    assert load_map_folder(folder).plan is None
+
+
 def test_a_damaged_plan_falls_back_to_the_version_before(planned: PlaceMap, tmp_path: Path) -> None:
     heard: list[str] = []
     store = MapStore(StoreAddress(tmp_path / "maps", author="desk"), heard.append)
