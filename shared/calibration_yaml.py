@@ -15,13 +15,22 @@ import yaml
 
 from shared.calibration import AccelerometerCalibration, Calibration, CameraCalibration, ImuNoise, WheelCalibration
 from shared.errors import ConfigError, DataError
-from shared.sensor_yaml import ACCELEROMETER_KEYS, number, read_camera, read_own_noise, read_rig, read_yaml
+from shared.sensor_yaml import (
+    ACCELEROMETER_KEYS,
+    number,
+    read_camera,
+    read_own_noise,
+    read_rig,
+    read_yaml,
+    refuse_misprints,
+)
 
 IMU_HEAD = "# Noise of an inertial unit in continuous time, SI units (docs/calibration.md).\n"
 HEAD = "# What is known of this robot's sensors (docs/robot.md). t_imu = t_cam + time_shift_s.\n"
 WHEELS = ("speed", "turn")  # keys of the section `wheels`
+KEYS = ("robot_kind", "rig", "gravity", "camera", "imu", "wheels", "previous")
 IDENTITY = [float(row == column) for row in range(4) for column in range(4)]
-PREVIOUS = "previous"  # the section of the calibration before: one file, so that both change at once or not at all
+PREVIOUS = KEYS[-1]  # the section of the calibration before: one file, so that both change at once or not at all
 
 
 def calibration_text(calibration: Calibration, previous: Calibration | None = None) -> str:
@@ -132,6 +141,7 @@ def read_previous(path: Path) -> Calibration | None:
 
 def as_calibration(content: dict[str, Any], path: Path) -> Calibration:
     """A file's mapping as a calibration; `path` is what its errors call it. Raises DataError."""
+    refuse_misprints(content, KEYS, path)
     sections = {name: _section(content, name, path) for name in ("camera", "imu", "wheels")}
     if sections["camera"] is None and sections["imu"] is None:
         raise DataError(f"{path} has neither a camera nor an imu section; it is no calibration.yaml")

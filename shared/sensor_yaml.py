@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import io
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -45,6 +46,20 @@ JSON_NAMES = {
     "accel_random_walk": "accelerometer_random_walk",
 }
 
+MOUNTINGS = ("T_BS", "T_body_cam")
+# What we read of a camera's file, and of an IMU's, and what others write there.
+CAMERA_KEYS = {
+    *("resolution", "intrinsics", "distortion_model", *COEFFICIENTS, *MOUNTINGS, "time_shift_s", "line_delay_s"),
+    *("rate_hz", "approximate", "exposure_s", "rig", "sensor_type", "comment", "camera_model", "rostopic"),
+    *("T_cam_imu", "T_cn_cnm1", "timeshift_cam_imu", "line_delay", "cam_overlaps"),
+}
+IMU_KEYS = {
+    *(*NOISE_KEYS.values(), *ACCELEROMETER_KEYS.values(), "rate_hz", "update_rate", "gyroscope_range"),
+    *("accelerometer_range", "rostopic", "sensor_type", "comment", "T_BS", "T_i_b", "model", "time_offset"),
+}
+BESIDE = ("T_cn_cnm1", "T_i_b")  # kalibr's, between cameras and between IMUs
+ALIKE = 0.8  # share of letters that two keys have in common, in order: one is a misprint of the other
+
 MAX_EXPOSURE_S = 10.0
 CAMERA_FILES = ("camera.yaml", "camera-intrinsics.txt")  # of a folder of images
 
@@ -53,8 +68,12 @@ def read_yaml(path: Path) -> dict[str, Any]:
     """A YAML file's mapping. OpenCV's first line `%YAML:1.0`, which YAML itself forbids, is passed over."""
     try:
         text = read_text(path)
-    except (OSError, UnicodeDecodeError) as exc:
-        raise DataError(f"{path} cannot be read as text ({exc}); copy it again") from exc
+    except FileNotFoundError as exc:
+        raise DataError(f"there is no file {path}") from exc
+    except OSError as exc:
+        raise DataError(f"{path} cannot be read ({exc.strerror or exc}); give a file of `key: value` lines") from exc
+    except UnicodeDecodeError as exc:
+        raise DataError(f"{path} is no text; give a file of `key: value` lines") from exc
     lines = [line for line in text.splitlines() if not line.startswith("%YAML")]
     try:
         # OpenCV marks its matrices with tags of its own, which the safe loader refuses. Ours is as safe as its base.
@@ -64,7 +83,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     except (ValueError, RecursionError) as exc:  # a date that no calendar has, nesting without end
         raise DataError(f"{path} is not readable YAML ({exc}); correct it") from exc
     if not isinstance(content, dict):
-        raise DataError(f"{path} holds no `key: value` lines; write a calibration into it")
+        raise DataError(f"{path} holds no `key: value` lines; it is empty, or another file was meant")
     return content
 
 
@@ -101,7 +120,8 @@ def numbers(content: dict[str, Any], key: str, count: int, path: Path) -> list[f
     except (TypeError, ValueError, OverflowError):
         flat = np.empty(0)
     if len(flat) != count or not np.isfinite(flat).all():
-        raise DataError(f"{path}: {key} must be {count} numbers, is {shown(value)}")
+        wanted = "a number" if count == 1 else f"{count} numbers"
+        raise DataError(f"{path}: {key} must be {wanted}, is {shown(value)}")
     return [float(x) for x in flat]
 
 
@@ -120,7 +140,7 @@ def read_exposure_ns(content: dict[str, Any], path: Path) -> int:
 
 def read_mounting(content: dict[str, Any], path: Path) -> FloatArray:
     """T_body_sensor (4, 4): the key `T_BS` (or `T_body_cam`), identity where absent."""
-    for key in ("T_BS", "T_body_cam"):
+    for key in MOUNTINGS:
         if content.get(key) is not None:
             T = np.array(numbers(content, key, 16, path)).reshape(4, 4)
             if abs(np.linalg.det(T[:3, :3]) - 1.0) > 0.02:
@@ -129,6 +149,9 @@ def read_mounting(content: dict[str, Any], path: Path) -> FloatArray:
             # One that was written in full is read as it was: calibrations are compared by their numbers.
             is_exact = np.abs(R @ R.T - np.eye(3)).max() < 1e-14
             return se3(R if is_exact else orthonormal(R), T[:3, 3])
+    for key in content:
+        if str(key).startswith("T_") and key not in (*MOUNTINGS, *BESIDE):
+            raise DataError(f"{path}: {shown(key)} is not read; write how the sensor is mounted as {MOUNTINGS[1]}")
     return np.eye(4)
 
 
@@ -141,6 +164,7 @@ def read_camera(path: Path, content: dict[str, Any] | None = None) -> CameraCali
     if model not in DISTORTION_MODELS:
         raise DataError(f"{path}: distortion_model {shown(model)} is unknown; use radial-tangential or equidistant")
     distortion = _read_distortion(content, model, path)
+    refuse_misprints(content, CAMERA_KEYS, path)
     try:
         return CameraCalibration(
             width=int(width),
@@ -180,6 +204,14 @@ def _read_distortion(content: dict[str, Any], model: str, path: Path) -> tuple[f
     return tuple([*values, 0.0, 0.0, 0.0][:4])
 
 
+def refuse_misprints(content: dict[str, Any], keys: Iterable[str], path: Path) -> None:
+    """Raises DataError where a key is hardly another than one of these, which is missing. Others are passed over."""
+    missing = sorted(set(keys) - content.keys())
+    for key in content.keys() - set(keys):
+        if meant := difflib.get_close_matches(str(key)[:80], missing, n=1, cutoff=ALIKE):
+            raise DataError(f"{path}: there is no key {shown(key)}; write {meant[0]}")
+
+
 def _refuse_json_names(content: dict[str, Any], names: Iterable[str], path: Path) -> None:
     for name in names:
         if name in content:
@@ -188,7 +220,7 @@ def _refuse_json_names(content: dict[str, Any], names: Iterable[str], path: Path
 
 def read_bare_camera(path: Path) -> CameraCalibration:
     """A camera that is itself the body, as without an IMU: a mounting in the file is passed over."""
-    return read_camera(path, {k: v for k, v in read_yaml(path).items() if k not in ("T_BS", "T_body_cam")})
+    return read_camera(path, {k: v for k, v in read_yaml(path).items() if not str(k).startswith("T_")})
 
 
 def read_folder_camera(folder: Path, image_size: Callable[[], tuple[int, int]]) -> CameraCalibration:
@@ -210,6 +242,7 @@ def read_imu_noise(path: Path, content: dict[str, Any]) -> ImuNoise:
     """
     content = _imu_section(content)
     _refuse_json_names(content, (name for name in JSON_NAMES if JSON_NAMES[name] in NOISE_KEYS.values()), path)
+    refuse_misprints(content, IMU_KEYS, path)
 
     def reach(key: str) -> float:  # a range without limit, as the simulator writes for a given recording
         return np.inf if content.get(key) == np.inf else number(content, key, np.inf, path)

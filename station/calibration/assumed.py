@@ -12,6 +12,6 @@ def assumed_noise(noise: ImuNoise) -> list[str]:
     if not assumed:
         return []
     return [
-        f"the IMU's {', '.join(assumed)}: not told, so that a consumer IMU's are taken;"
-        " `station calibrate imu` measures them"
+        f"the IMU's {', '.join(assumed)}: what is taken of an IMU that nobody measured;"
+        " `station calibrate imu` measures it"
     ]

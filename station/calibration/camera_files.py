@@ -17,7 +17,7 @@ from shared.calibration import CameraCalibration
 from shared.calibration_yaml import as_calibration
 from shared.errors import DataError
 from shared.geometry import FloatArray, inverse, orthonormal, se3
-from shared.sensor_yaml import numbers, read_camera, read_yaml
+from shared.sensor_yaml import CAMERA_KEYS, numbers, read_camera, read_yaml, refuse_misprints
 
 OUR_NAMES = {"radtan": "radial-tangential", "equidistant": "equidistant"}
 KALIBR_NAMES = {"radtan": "radtan", "equidistant": "equidistant"}
@@ -86,6 +86,7 @@ def read_camchain(path: Path) -> CameraCalibration:
     content = read_yaml(path).get("cam0")
     if not isinstance(content, dict):
         raise DataError(f"{path} has no cam0; give a camchain of kalibr's")
+    refuse_misprints(content, CAMERA_KEYS, path)
     if content.get("camera_model", "pinhole") != "pinhole":
         raise DataError(f"{path}: camera_model is {shown(content['camera_model'])}; only pinhole is used")
     T_body_cam = inverse(_rigid(content, "T_cam_imu", path))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
@@ -66,5 +67,10 @@ def check_out_file(out: Path) -> None:
             raise DataError(f"--out {out}: there is no folder {out.parent}; make it first")
     except OSError as exc:  # too long a name
         raise DataError(f"--out {out} cannot be written ({exc.strerror}); choose another name") from exc
-    if not os.access(out.absolute().parent, os.W_OK | os.X_OK) or (out.exists() and not os.access(out, os.W_OK)):
+    try:
+        with tempfile.TemporaryFile(dir=out.absolute().parent):  # access() says yes to root where nobody can write
+            is_free = not out.exists() or os.access(out, os.W_OK)
+    except OSError:
+        is_free = False
+    if not is_free:
         raise DataError(f"--out {out} cannot be written to; choose another folder")

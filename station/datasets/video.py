@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -25,6 +26,7 @@ def open_video(path: Path, first: int | None, last: int | None, step: int, needs
     if yaml_path is None and needs_camera:
         raise DataError(f"{path} has no camera.yaml next to it; write the camera's intrinsics there")
     camera = None if yaml_path is None else read_bare_camera(yaml_path)
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # what fails is said below, and not by ffmpeg
     capture = cv2.VideoCapture(str(path))
     try:
         if not capture.isOpened():

@@ -77,7 +77,7 @@ def camera(
     if as_json:
         print(json.dumps(report(found, seen, rejected, reasons)))
     else:
-        _print(found, seen, rejected, reasons, out)
+        _print(found, seen, rejected, reasons, [path for path in (out, kalibr, plots) if path is not None])
     if reasons:
         raise typer.Exit(2)
 
@@ -125,7 +125,9 @@ def write(found: CameraFit, accepted: bool, out: Path, kalibr: Path | None, plot
             file.write(lens_camchain_yaml(*lens).encode())
 
 
-def _print(found: CameraFit | None, seen: Views, rejected: tuple[Rejected, ...], reasons: list[str], out: Path) -> None:
+def _print(
+    found: CameraFit | None, seen: Views, rejected: tuple[Rejected, ...], reasons: list[str], files: list[Path]
+) -> None:
     """What a person wants to know, in a few lines."""
     if found is not None:
         fit = found.fit
@@ -147,7 +149,7 @@ def _print(found: CameraFit | None, seen: Views, rejected: tuple[Rejected, ...],
     for reason in reasons:
         print(f"refused: {reason}")
     if not reasons:
-        print(f"written to {out}")
+        print(f"written to {', '.join(map(str, files))}")
 
 
 def unused(rejected: tuple[Rejected, ...]) -> list[str]:
@@ -163,5 +165,6 @@ def unused(rejected: tuple[Rejected, ...]) -> list[str]:
 def _better(best: LensTrial, own: LensTrial) -> str:
     return (
         f"of images not used for it, it foretells corners to {own.validation_px:.2f} px and leaves "
-        f"{100 * own.left_out:.1f} % of them out; --model {best.lens}: {best.validation_px:.2f} px"
+        f"{100 * own.left_out:.1f} % of them out; {best.lens} to {best.validation_px:.2f} px: take --model {best.lens} "
+        "for this project's robot, and for a wide lens"
     )

@@ -30,7 +30,7 @@ def wheels(
         Path,
         typer.Option(
             "--out",
-            help="The [pi] section to write where --full-speed and --track are given, else the section wheels of a"
+            help="The section pi to write where --full-speed and --track are given, else the section wheels of a"
             " calibration.yaml; nothing is written when refused.",
         ),
     ],

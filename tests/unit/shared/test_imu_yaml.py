@@ -92,7 +92,7 @@ def test_a_word_in_place_of_a_number_is_refused_by_file_and_key(tmp_path: Path) 
         ("gyroscope_noise_density: -0.0003\n", "gyro_density is -0.0003, must be over 0"),
         ("accelerometer_random_walk: 0.0\n", "accelerometer_random_walk is 0, must be over 0"),
         ("gyroscope_noise_density: 0.0003\nrate_hz: 0\n", "rate_hz is 0, must be over 0"),
-        ("gyroscope_noise_density: .inf\n", "gyroscope_noise_density must be 1 numbers"),
+        ("gyroscope_noise_density: .inf\n", "gyroscope_noise_density must be a number"),
     ],
 )
 def test_a_file_of_noise_never_becomes_a_consumer_units_without_a_word(tmp_path: Path, text: str, words: str) -> None:

@@ -151,7 +151,8 @@ def test_a_recording_that_says_nothing_of_the_imus_noise_is_noted(tmp_path: Path
     (folder / "mav0" / "imu0" / "sensor.yaml").write_text("rate_hz: 200\ngyroscope_noise_density: 0.0002\n")
     note = notes_of(folder, tmp_path)
     assert (
-        "accelerometer_random_walk" in note and "a consumer IMU's are taken; `station calibrate imu` measures" in note
+        "accelerometer_random_walk" in note
+        and "of an IMU that nobody measured; `station calibrate imu` measures" in note
     )
     assert "gyroscope_noise_density" not in note
 
