@@ -67,21 +67,25 @@ def is_smooth(target: Target, board: Board) -> BoolArray:
     The rest is a polynomial of third degree over the board. What was refined onto something else stands out of it.
     """
     p_board = target.corners[board.ids, :2]
-    centred = (p_board - p_board.mean(axis=0)) / np.ptp(p_board, axis=0).max()
-    x, y = centred.T
-    powers = [x**i * y**j for i in range(4) for j in range(4 - i)]
+    A = surface_powers(p_board)
     is_good = np.ones(len(board.ids), dtype=bool)
-    if len(board.ids) < 2 * len(powers):
+    if len(board.ids) < 2 * A.shape[1]:
         return is_good
     H = homography(p_board, board.corners_px, cv2.LMEDS)
     if H is None:
         return ~is_good
     rest = board.corners_px - cv2.perspectiveTransform(p_board[None], H)[0]
-    A = np.stack(powers, axis=1)
     for _ in range(4):
         error = np.linalg.norm(rest - A @ np.linalg.lstsq(A[is_good], rest[is_good], rcond=None)[0], axis=1)
         is_good = error < max(SMOOTH_PX, OUTLIER * float(np.median(error[is_good])))
     return is_good
+
+
+def surface_powers(p_board: FloatArray) -> FloatArray:
+    """Of a polynomial of third degree over the board, at corners (n, 2): (n, 10)."""
+    centred = (p_board - p_board.mean(axis=0)) / np.ptp(p_board, axis=0).max()
+    x, y = centred.T
+    return np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=1)
 
 
 def homography(p_board: FloatArray, uv_px: FloatArray, method: int = 0) -> FloatArray | None:
@@ -127,7 +131,7 @@ def blur_px(grey: ImageArray, target: Target, ids: IntArray, corners_px: FloatAr
     """
     where = np.full(len(target.corners), -1)
     where[ids] = np.arange(len(ids))
-    begin, end = where[_edges(target)].T
+    begin, end = where[edges(target)].T
     seen = (begin >= 0) & (end >= 0)
     if not seen.any():
         return 0.0
@@ -142,7 +146,7 @@ def blur_px(grey: ImageArray, target: Target, ids: IntArray, corners_px: FloatAr
     return float(np.percentile(height / np.maximum(slope, 1e-3) / np.sqrt(2 * np.pi), 75))
 
 
-def _edges(target: Target) -> IntArray:
+def edges(target: Target) -> IntArray:
     """Pairs (n, 2) of corner ids with an edge from black to white between them."""
     if target.kind == "aprilgrid":
         first = 4 * np.arange(target.columns * target.rows)[:, None]

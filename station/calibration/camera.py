@@ -13,6 +13,7 @@ from shared.geometry import FloatArray
 from station.calibration.boards import homography
 from station.calibration.bundle import Corners, Fit, covariance, fit_camera, fit_poses, refit, residuals, stack_views
 from station.calibration.distortion import LENS_NAMES, ROBOT_LENSES, LensName
+from station.calibration.layout import is_other_board
 from station.calibration.target import BoardView, Target
 
 LEAST_VIEWS = 6
@@ -31,7 +32,7 @@ DISTORTION_NAMES = {
 }
 
 
-Cause = Literal["unreadable", "size", "no board", "blurred", "repeated", "disagrees"]
+Cause = Literal["unreadable", "size", "no board", "other board", "blurred", "repeated", "disagrees"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +61,7 @@ class Shape:
     bend: float  # how far it is from flat, over its length
     gap_ratio: float  # the gap between an AprilGrid's tags over what its file says
     moves: FloatArray  # (k,) by how much the camera's numbers change when the board may have this shape
+    rms_px: float  # left over of the corners when it may: a shape that does not explain them is not the board's
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,6 +124,8 @@ def calibrate_camera(
         lens: None: as `choose` says.
         choose: None: most_read_lens.
     """
+    if is_other_board(target, views):
+        return None, tuple(Rejected(view.name, "other board", "shows another board than target.yaml") for view in views)
     different, rejected = different_views(target, views, size)
     views = different
     if len(views) < LEAST_VIEWS:
@@ -231,12 +235,15 @@ def board_shape(target: Target, views: Sequence[BoardView], fit: Fit) -> Shape:
     shapes = np.stack([*bends, gaps] if target.kind == "aprilgrid" else bends, axis=2)
     corners = stack_views(target, views, shapes)
     start = replace(fit, numbers=np.append(fit.numbers, np.zeros(shapes.shape[2])))
-    freed = refit(corners, start).numbers
+    refitted = refit(corners, start)
+    freed = refitted.numbers
     moves, numbers = freed[: len(fit.numbers)] - fit.numbers, freed[len(fit.numbers) :]
     height = np.stack([x * x, x * y, y * y], axis=1) @ numbers[:3]
     plane = np.stack([x, y, np.ones_like(x)], axis=1)
     bent = height - plane @ np.linalg.lstsq(plane, height, rcond=None)[0]
-    return Shape(float(np.ptp(bent)), 1.0 + float(numbers[3]) if target.kind == "aprilgrid" else 1.0, moves)
+    gap_ratio = 1.0 + float(numbers[3]) if target.kind == "aprilgrid" else 1.0
+    left_px = _rms(residuals(corners, refitted)[refitted.is_inlier])
+    return Shape(float(np.ptp(bent)), gap_ratio, moves, left_px)
 
 
 def _agreeing(

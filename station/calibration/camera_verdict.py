@@ -28,8 +28,14 @@ def reasons_against(found: CameraFit) -> list[str]:
     """Sentences with a remedy each; empty where the calibration can be used."""
     poses = list(_poses(found))
     # A board that is not as its file says spoils everything else; but only tilts to all sides tell a bend from a lens.
-    wrong_board = [*_gap(found), *([] if poses else _bend(found))]
-    return wrong_board or [*poses, *_places(found), *_model(found)]
+    # What it does not explain speaks first: no bend and no gap is read off corners that lie elsewhere even so.
+    is_explained = found.shape.rms_px <= _most_left_px(found)
+    wrong_board = [*_gap(found), *([] if poses else _bend(found))] if is_explained else []
+    return wrong_board or [*_misfit(found), *poses, *_places(found), *_vague(found)]
+
+
+def _most_left_px(found: CameraFit) -> float:
+    return MAX_RMS * max(found.size[0], 640)
 
 
 def _bend(found: CameraFit) -> Iterator[str]:
@@ -85,11 +91,10 @@ def _where_not(cells: FloatArray) -> str:
     return f"in the {', '.join(names)} of the image" if names else "all over the image"
 
 
-def _model(found: CameraFit) -> Iterator[str]:
-    fit, (width, _) = found.fit, found.size
-    focal_sigma = float(np.max(found.scatter[:2] / fit.numbers[:2]))
-    centre_sigma = float(np.max(found.scatter[2:4]))
-    if found.rms_px > MAX_RMS * max(width, 640) or 1.0 - fit.is_inlier.mean() > MAX_LEFT_OUT:
+def _misfit(found: CameraFit) -> Iterator[str]:
+    """What is left over is more than any lens leaves."""
+    fit = found.fit
+    if found.rms_px > _most_left_px(found) or 1.0 - fit.is_inlier.mean() > MAX_LEFT_OUT:
         best = best_lens(found.trials)
         remedy = (
             f"take --model {best.lens}, which foretells other images to {best.validation_px:.2f} px"
@@ -100,6 +105,13 @@ def _model(found: CameraFit) -> Iterator[str]:
             f"the lens model {fit.lens} does not fit: {found.rms_px:.2f} px are left, and "
             f"{100 * (1 - fit.is_inlier.mean()):.0f} % of the corners are farther off; {remedy}"
         )
+
+
+def _vague(found: CameraFit) -> Iterator[str]:
+    """What the images leave open."""
+    fit, (width, _) = found.fit, found.size
+    focal_sigma = float(np.max(found.scatter[:2] / fit.numbers[:2]))
+    centre_sigma = float(np.max(found.scatter[2:4]))
     unsure = [
         name
         for name, value, sigma in zip(found.names, fit.numbers, found.scatter, strict=True)

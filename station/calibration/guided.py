@@ -14,6 +14,7 @@ from station.calibration.boards import make_finder, view_board
 from station.calibration.camera import LEAST_VIEWS, CameraFit, Rejected, calibrate_camera, foretelling_lens
 from station.calibration.camera_page import write_camera_page
 from station.calibration.camera_verdict import reasons_against
+from station.calibration.layout import OTHER_BOARD
 from station.calibration.target import BoardView, Target
 from station.datasets import open_dataset
 from station.model.frames import ImageFrame
@@ -62,7 +63,9 @@ def views_of_recording(
 
 
 def _result(found: CameraFit | None, told: CameraCalibration, rejected: Sequence[Rejected], num: int) -> dict[str, Any]:
-    reasons = [TOO_FEW.format(num, LEAST_VIEWS)] if found is None else reasons_against(found)
+    is_other = any(one.cause == "other board" for one in rejected)
+    few = OTHER_BOARD if is_other else TOO_FEW.format(num, LEAST_VIEWS)
+    reasons = [few] if found is None else reasons_against(found)
     numbers = None if found is None else found.fit.numbers.tolist()
     return {
         "model": None if found is None else "equidistant" if found.fit.lens == "equidistant" else "radtan",

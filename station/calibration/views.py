@@ -14,6 +14,7 @@ from shared.errors import DataError
 from station.calibration.boards import AprilGridFinder, Finder, make_finder, view_board
 from station.calibration.camera import Rejected
 from station.calibration.dictionaries import charuco_markers
+from station.calibration.layout import OTHER_BOARD
 from station.calibration.target import BoardView, Target
 from station.datasets import Dataset
 from station.model.frames import ImageArray, ImageFrame
@@ -129,6 +130,8 @@ def why_few(target: Target, seen: Views, used: int, least: int, rejected: tuple[
         return f"{so_few}: the board stayed in one place; move it over the whole image, near and far, and tilt it"
     if usual == "disagrees":
         return f"{so_few}: they disagree with each other; see that board and lens are fixed, and hold the board still"
+    if usual == "other board":
+        return OTHER_BOARD
     if usual == "no board":
         return f"{so_few}: {_why_missed(target, seen)}"
     return f"{so_few}; take 20 to 40, with the board at other places, distances and tilts"

@@ -22,7 +22,9 @@ from shared.errors import DataError
 from shared.geometry import FloatArray, IntArray, inverse, orthonormal, se3
 from station.calibration import CALIBRATE_CAMERA
 from station.calibration.boards import make_finder, view_board
-from station.calibration.target import Target
+from station.calibration.layout import OTHER_BOARD, is_other_board
+from station.calibration.target import BoardView, Target
+from station.calibration.wheels_felt import felt_way
 from station.datasets.dataset import Dataset
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.motion.drive_commands import MIN_COMMAND, REST_AFTER_S, commands_motion
@@ -40,6 +42,9 @@ LEAST_WAY_M, LEAST_TURN_RAD = 0.1, 0.5  # of one move that is worth comparing
 # the MPU-6050's data sheet allows 3 %, taken for three sigmas; nothing here measures it.
 FOCAL_SIGMA, BOARD_SIGMA, GYRO_SIGMA = 0.005, 0.003, 0.01
 WAY_SIGMA = math.hypot(FOCAL_SIGMA, BOARD_SIGMA)
+# Likewise the way that the accelerometer tells goes with its scale, of which the data sheet allows 3 % as well.
+FELT_SIGMA = math.hypot(WAY_SIGMA, 0.01)
+SURELY = 3.0  # sigmas, by which the board's metre is another than the accelerometer's
 MAX_SCATTER = 0.05  # between single moves; wheels that slip that much are stopped by something
 MAX_SIGMA = 0.0225  # relative, of it 0.02 by scatter: floors differ by more
 MIN_TURN_SAMPLES = 20
@@ -131,14 +136,18 @@ def calibrate_wheels(data: Dataset, target: Target, on_frame: Callable[[], None]
     rests = _felt(stops, t_ns)
     if len(rests) < 2:
         return Wheels(None, None, None, None, (), (f"{IMU_MISSING} almost everywhere: {RECORD_AGAIN}.",))
-    poses = board_poses(data.read_frames(), camera, target, rests, on_frame)
+    views = board_views(data.read_frames(), camera, target, rests, on_frame)
+    if is_other_board(target, [view for rest in views for view in rest]):
+        return Wheels(None, None, None, None, (), (f"{OTHER_BOARD}.",))
+    poses = [board_pose(rest, camera, target) for rest in views]
     yaw_rate = _yaw_rates(data.imu, rests)
     moves = _moves(data.drive, t_ns, yaw_rate, rests, poses)
     speed = fit_factor([(m.linear_m, m.went_m) for m in moves if m.went_m is not None and m.is_drive], WAY_SIGMA)
     turn = fit_factor([(m.angular_rad, m.turned_rad) for m in moves if m.is_turn], GYRO_SIGMA)
     lag, lag_sigma = (None, None) if turn is None else _fit_lag(data.drive, t_ns, yaw_rate, moves, turn.value)
     lost = len(stops) - 1 - len(moves)
-    return Wheels(speed, turn, lag, lag_sigma, moves, tuple(_reasons(moves, lost, poses, speed, turn)))
+    reasons = [*_reasons(moves, lost, poses, speed, turn), *_other_metre(felt_scale(data.imu, rests, moves))]
+    return Wheels(speed, turn, lag, lag_sigma, moves, tuple(reasons))
 
 
 # --- rests and moves --------------------------------------------------------------------------------------------------
@@ -243,17 +252,16 @@ def _forward(before: FloatArray | None, after: FloatArray | None) -> float | Non
 # --- where the robot stands in front of the board ---------------------------------------------------------------------
 
 
-def board_poses(
+def board_views(
     frames: Iterator[ImageFrame],
     camera: CameraCalibration,
     target: Target,
     rests: list[tuple[int, int]],
     on_frame: Callable[[], None],
-) -> list[FloatArray | None]:
-    """T_board_body (4, 4) in each rest: the middle of its pictures; None where they hardly show the board."""
-    finder, lens = make_finder(target), Lens(camera)
-    tolerance = POSE_TOLERANCE_PX / camera.fx
-    seen: list[list[FloatArray]] = [[] for _ in rests]
+) -> list[list[BoardView]]:
+    """What the pictures of each rest show of the board."""
+    finder = make_finder(target)
+    seen: list[list[BoardView]] = [[] for _ in rests]
     begins = np.array([begin for begin, _ in rests])
     for frame in frames:
         on_frame()
@@ -266,12 +274,20 @@ def board_poses(
         except DataError:
             continue  # damaged on its way
         view = view_board(finder, target, grey, frame.name, frame.t_robot_ns)
-        if view is None or not view.ids_are_sure:
-            continue
-        T_board_cam = pose_before_board(target.corners[view.ids], lens.unproject(view.corners_px), tolerance)
+        if view is not None and view.ids_are_sure:
+            seen[rest].append(view)
+    return seen
+
+
+def board_pose(views: list[BoardView], camera: CameraCalibration, target: Target) -> FloatArray | None:
+    """T_board_body (4, 4) in a rest: the middle of its pictures; None where they hardly show the board."""
+    lens, corners, poses = Lens(camera), target.corners, []
+    for view in views:
+        rays = lens.unproject(view.corners_px)
+        T_board_cam = pose_before_board(corners[view.ids], rays, POSE_TOLERANCE_PX / camera.fx)
         if T_board_cam is not None:
-            seen[rest].append(T_board_cam @ camera.T_cam_body_matrix)
-    return [_middle(poses) if len(poses) >= LEAST_VIEWS else None for poses in seen]
+            poses.append(T_board_cam @ camera.T_cam_body_matrix)
+    return _middle(poses) if len(poses) >= LEAST_VIEWS else None
 
 
 def pose_before_board(p_board: FloatArray, rays: FloatArray, tolerance: float) -> FloatArray | None:
@@ -314,6 +330,25 @@ def fit_factor(pairs: list[tuple[float, float]], shared_sigma: float) -> Factor 
     return Factor(
         value, float(np.hypot(_sigma_of_mean(scatter, len(pairs)), shared_sigma)) * abs(value), scatter, len(pairs)
     )
+
+
+def felt_scale(imu: ImuBatch, rests: Sequence[tuple[int, int]], moves: Sequence[Move]) -> Factor | None:
+    """Of the straight drives, the ways that the accelerometer tells over those that the board tells."""
+    rest_before = {end: (begin, end) for begin, end in rests}
+    drives = [(m, m.went_m) for m in moves if m.is_drive and m.went_m]
+    if len(drives) < LEAST_MOVES:
+        return None
+    went = np.array([went_m for _, went_m in drives])
+    felt = np.array([felt_way(imu, rest_before[m.begin_ns], m.begin_ns, m.end_ns) for m, _ in drives])
+    # What noise leaves of a double integral grows with the time to 3/2.
+    weight = went**2 / np.array([float(m.end_ns - m.begin_ns) for m, _ in drives]) ** 3
+    weight /= weight.sum()
+    value = float(weight @ (felt / went))
+    # Drives that count little make up for few of those that count.
+    count = 1.0 / float(weight @ weight)
+    scatter = float(np.sqrt(weight @ (felt / went - value) ** 2 * len(drives) / (len(drives) - 1)))
+    few = stdtrit(len(drives) - 1, PERCENT_3_SIGMA) / SURELY
+    return Factor(value, math.hypot(few * scatter / math.sqrt(count), FELT_SIGMA * abs(value)), scatter, len(drives))
 
 
 def _sigma_of_mean(scatter: float, count: int) -> float:
@@ -365,6 +400,17 @@ def late(commanded: FloatArray, lag_s: float, period_s: float) -> FloatArray:
 
 
 # --- verdict ----------------------------------------------------------------------------------------------------------
+
+
+def _other_metre(felt: Factor | None) -> list[str]:
+    """Why the board's metre cannot be believed."""
+    if felt is None or not abs(felt.value - 1.0) > SURELY * felt.sigma:
+        return []
+    return [
+        f"By the accelerometer the robot went {felt.value:.2f} ± {felt.sigma:.2f} times as far as by the board: target.yaml"
+        " is of another board or its tagSize is wrong, or the focal length is another camera's; measure a tag of the"
+        " board and correct tagSize, or calibrate the camera."
+    ]
 
 
 def _reasons(

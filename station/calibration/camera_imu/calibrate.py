@@ -39,6 +39,7 @@ from station.calibration.camera_imu.unknowns import (
     MOUNT_ROTATION,
     SHIFT,
 )
+from station.calibration.layout import OTHER_BOARD, is_other_board
 from station.calibration.target import BoardView, Target
 from station.model.frames import ImuBatch
 from station.vision.lens import Lens
@@ -112,6 +113,8 @@ def calibrate_camera_imu(recording: HandheldRecording, progress: Progress) -> Ca
     notes = recording.notes
     if len(recording.imu) < 2:
         return CameraImuCalibration(["the recording holds no inertial readings: record the IMU as well"], None, notes)
+    if is_other_board(recording.target, recording.views):
+        return CameraImuCalibration([OTHER_BOARD], None, notes)
     origin_ns = int(recording.imu.t_robot_ns[0])
     progress("poses of the target")
     poses = camera_poses(recording.views, recording.target, Lens(recording.camera), origin_ns)

@@ -23,7 +23,7 @@ from station.calibration.targetless.batch import Solution, solve, with_focal_len
 from station.calibration.targetless.beginning import begin
 from station.calibration.targetless.rows import Inertial
 from station.calibration.targetless.tracks import follow, liveliest_part
-from station.calibration.targetless.turning import camera_turns
+from station.calibration.targetless.turning import camera_turns, planar_share
 from station.calibration.targetless.verdict import Quantity
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 
@@ -78,9 +78,12 @@ class CalibrationCheck:
 
     @property
     def notes(self) -> list[str]:
-        """What is seen of each quantity, and what was not used of the recording."""
+        """What is seen of each quantity, and what was not used of the recording.
+
+        An estimate that does not explain what was measured says nothing of any.
+        """
         not_used = () if self.solution is None else self.solution.problem.seen.notes
-        return [*(quantity.sentence for quantity in self.quantities), *not_used]
+        return [*(verdict.sentences(self.quantities) if self.is_believed else ()), *not_used]
 
     @property
     def repairs(self) -> list[str]:
@@ -183,6 +186,7 @@ def check_calibration(recording: LivelyRecording, progress: Progress) -> Calibra
         match = match_turning(turns, samples.t_s, samples.gyro)
         reasons = verdict.poor_turning(match)
         if reasons:
+            reasons = verdict.planar_scene(match, planar_share(seen, told.fx)) or reasons
             return CalibrationCheck(told, reasons, None, [])
         inertial = Inertial(recording.imu, recording.noise, samples, origin_ns)
         seen = seen.chosen(agreeing)
@@ -198,4 +202,6 @@ def check_calibration(recording: LivelyRecording, progress: Progress) -> Calibra
         return CalibrationCheck(told, [f"{exc}: {verdict.WAVE}"], None, [])
     reasons = verdict.poor_fit(solution, match)
     is_believed = not reasons
+    if reasons:
+        reasons = verdict.planar_scene(match, planar_share(seen, told.fx)) or reasons
     return CalibrationCheck(told, reasons or verdict.too_vague(found), solution, found, is_believed)

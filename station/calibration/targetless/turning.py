@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import cv2
 import numpy as np
 
 from shared.errors import DegenerateGeometry
-from shared.geometry import FloatArray, cross, homogeneous, skew, so3_exp, so3_log
+from shared.geometry import FloatArray, IntArray, cross, homogeneous, skew, so3_exp, so3_log
 from station.calibration.camera_imu.start import Turns
 from station.calibration.targetless.tracks import MIN_TRACKED, Sightings
 from station.vision.lens import BoolArray
@@ -27,25 +29,43 @@ def camera_turns(sightings: Sightings, focal_px: float) -> tuple[Turns, BoolArra
     Raises:
         DegenerateGeometry: too few corners could be followed.
     """
+    agreeing = np.ones(len(sightings.image), dtype=bool)
+    pairs = []
+    for begin_s, end_s, a, b in image_pairs(sightings):
+        turn, distance = relative_rotation(sightings.xy[a], sightings.xy[b], INLIER_PX / focal_px)
+        agreeing[b] &= distance < LIMIT * max(float(np.median(distance)), 0.5 * INLIER_PX / focal_px)
+        pairs.append((begin_s, end_s, so3_log(turn)))
+    if len(pairs) < MIN_PAIRS:
+        raise DegenerateGeometry("too few corners could be followed from image to image")
+    begin, end, turns = zip(*pairs, strict=True)
+    return Turns(np.array(begin), np.array(end), np.array(turns)), agreeing
+
+
+def image_pairs(sightings: Sightings) -> Iterator[tuple[float, float, IntArray, IntArray]]:
+    """Of each pair of images about APART_S apart: both times, and the rows in sightings of the corners in both."""
     t_s = sightings.t_s
     rows = np.argsort(sightings.image, kind="stable")
     bounds = np.searchsorted(sightings.image[rows], np.arange(len(t_s) + 1))
-    agreeing = np.ones(len(sightings.image), dtype=bool)
-    pairs = []
     for k, other in enumerate(np.searchsorted(t_s, t_s + APART_S - 1e-3).tolist()):
         if other >= len(t_s) or t_s[other] > t_s[k] + 2.0 * APART_S:
             continue
         a, b = rows[bounds[k] : bounds[k + 1]], rows[bounds[other] : bounds[other + 1]]
         _, in_a, in_b = np.intersect1d(sightings.corner[a], sightings.corner[b], return_indices=True)
-        if len(in_a) < MIN_TRACKED:
-            continue
-        turn, distance = relative_rotation(sightings.xy[a[in_a]], sightings.xy[b[in_b]], INLIER_PX / focal_px)
-        agreeing[b[in_b]] &= distance < LIMIT * max(float(np.median(distance)), 0.5 * INLIER_PX / focal_px)
-        pairs.append((t_s[k], t_s[other], so3_log(turn)))
-    if len(pairs) < MIN_PAIRS:
-        raise DegenerateGeometry("too few corners could be followed from image to image")
-    begin, end, turns = zip(*pairs, strict=True)
-    return Turns(np.array(begin), np.array(end), np.array(turns)), agreeing
+        if len(in_a) >= MIN_TRACKED:
+            yield t_s[k], t_s[other], a[in_a], b[in_b]
+
+
+def planar_share(sightings: Sightings, focal_px: float) -> float:
+    """The share of the corners that one plane explains, in the median pair of images.
+
+    A plane allows two ways to have turned and moved, and nothing in two views tells them apart.
+    Source: Faugeras and Lustman, Motion and Structure from Motion in a Piecewise Planar Environment, 1988.
+    """
+    shares = []
+    for _, _, a, b in image_pairs(sightings):
+        _, mask = cv2.findHomography(sightings.xy[a], sightings.xy[b], cv2.RANSAC, 2.0 * INLIER_PX / focal_px)
+        shares.append(0.0 if mask is None else float(np.mean(mask)))
+    return float(np.median(shares)) if shares else 0.0
 
 
 def relative_rotation(xy_a: FloatArray, xy_b: FloatArray, inlier: float) -> tuple[FloatArray, FloatArray]:

@@ -7,6 +7,7 @@ told. Each refusal says what to do.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import floor, log10
 
 import numpy as np
 
@@ -23,6 +24,7 @@ MAX_SILENCE_S = 0.5  # of the IMU
 MIN_RATE = 0.05  # rad/s RMS: less, and the turning is little more than what drifts in the tracks
 MIN_SECOND_RATE = 0.05  # about the axis that it turned second most about
 MAX_UNEXPLAINED = 0.3  # of the turning's variance
+MAX_PLANAR = 0.9  # of the corners: a board on a wall has all of them in one plane, a flight through a hall two thirds
 MIN_APART = 3.0  # by how much worse the second best time shift must be
 MAX_LEFT_OUT = 0.5  # of the sightings: more, and the scene moves rather than the camera
 MAX_PX = 1.0  # left over: of followed corners it is 0.1 to 0.4
@@ -41,7 +43,7 @@ class Quantity:
 
     name: str
     key: str  # in the results
-    unit: str
+    unit: tuple[str, float]  # that people are told, and how many of it are one of the results'
     away: FloatArray  # what was found less what was told
     sigma: FloatArray
     known_to: float  # a standard deviation beyond which the recording does not tell it
@@ -71,14 +73,29 @@ class Quantity:
     def sentence(self) -> str:
         if self.excited:
             return f"the {self.name} is not observable here: {self.excited}"
-        give_or_take = f"{self.sigma.max():.2g} {self.unit}"
+        size, give_or_take = self._told(float(np.linalg.norm(self.away))), self._told(float(self.sigma.max()))
         if not self.is_observable:
-            size = f"{np.linalg.norm(self.away):.2g} {self.unit}"
             said = f", although surely off, by about {size}" if self.is_surely_wrong else ""
-            return f"the {self.name} is not observable here: known to {give_or_take} only{said}"
-        size = f"{np.linalg.norm(self.away):.2g} {self.unit}"
+            return f"the {self.name} is not observable here: known to ± {give_or_take} only{said}"
         said = "fits" if self.fits else "does not fit"
-        return f"the {self.name} {said}: found {size} from what was told, give or take {give_or_take}"
+        return f"the {self.name} {said}: found {size} ± {give_or_take} from what was told"
+
+    def _told(self, value: float) -> str:
+        """To two digits, as a person writes it."""
+        name, many = self.unit
+        shown = value * many
+        digits = max(0, 1 - floor(log10(abs(shown)))) if shown else 0
+        return f"{shown:.{digits}f}{name}"
+
+
+def sentences(found: list[Quantity]) -> list[str]:
+    """What is seen of each; what several are not seen by for one and the same reason is said of them together."""
+    hidden = dict.fromkeys(quantity.excited for quantity in found if quantity.excited)
+    together = []
+    for why in hidden:
+        names = [f"the {quantity.name}" for quantity in found if quantity.excited == why]
+        together.append(f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} not observable here: {why}")
+    return [*together, *(quantity.sentence for quantity in found if not quantity.excited)]
 
 
 def too_little(samples: Samples, num_images: int) -> list[str]:
@@ -113,6 +130,19 @@ def poor_turning(match: TurningMatch) -> list[str]:
     if abs(match.shift_s) > 0.98 * MAX_SHIFT_S:
         return [f"the clocks of camera and IMU differ by more than {MAX_SHIFT_S:g} s: correct the time stamps"]
     return []
+
+
+def planar_scene(match: TurningMatch, planar: float) -> list[str]:
+    """Why a lively camera and its IMU seem to contradict each other, where a plane explains that share of the corners.
+
+    Empty where it does not, or where the motion itself is too little.
+    """
+    if planar <= MAX_PLANAR or match.rates[1] < MIN_SECOND_RATE:
+        return []
+    return [
+        "all that the camera saw may lie in one plane, as a board on a wall does, which leaves open how it turned: look"
+        f" into a furnished room instead, at things near and far; {WAVE}"
+    ]
 
 
 def poor_fit(solution: Solution, match: TurningMatch) -> list[str]:
@@ -153,24 +183,24 @@ def quantities(solution: Solution, told: CameraCalibration, match: TurningMatch)
     focal, focal_sigma = solution.focal_scale, solution.focal_sigma
     return [
         Quantity(
-            "rotation", "rotation_deg", "degrees",
+            "rotation", "rotation_deg", ("°", 1.0),
             np.degrees(so3_log(T_told[:3, :3].T @ T[:3, :3])), np.degrees(solution.sigma(MOUNT_ROTATION)),
             known_to=0.17, borne=0.5, excited=one_axis,
         ),
         Quantity(
-            "position", "translation_m", "m", T[:3, 3] - T_told[:3, 3], solution.sigma(MOUNT_POSITION),
+            "position", "translation_m", (" mm", 1e3), T[:3, 3] - T_told[:3, 3], solution.sigma(MOUNT_POSITION),
             known_to=0.005, borne=0.015, excited=one_axis,
         ),
         Quantity(
-            "time shift", "time_shift_s", "s", np.array([camera.time_shift_s - told.time_shift_s]),
+            "time shift", "time_shift_s", (" ms", 1e3), np.array([camera.time_shift_s - told.time_shift_s]),
             solution.sigma(slice(SHIFT, SHIFT + 1)), known_to=3.3e-4, borne=1e-3, excited=repeats,
         ),
         Quantity(
-            "line delay", "line_delay_s", "s", np.array([camera.line_delay_s - told.line_delay_s]),
+            "line delay", "line_delay_s", (" µs", 1e6), np.array([camera.line_delay_s - told.line_delay_s]),
             solution.sigma(slice(DELAY, DELAY + 1)), known_to=2e-6, borne=2e-6, excited=repeats,
         ),
         Quantity(
-            "focal length", "focal_length", "of it", np.array([focal - 1.0]), np.array([focal_sigma]),
+            "focal length", "focal_length", (" %", 100.0), np.array([focal - 1.0]), np.array([focal_sigma]),
             known_to=0.015, borne=0.02, excited="",
         ),
     ]  # fmt: skip
@@ -180,9 +210,10 @@ def too_vague(found: list[Quantity]) -> list[str]:
     """Reasons against writing a calibration: neither of its main numbers is known, or one is wrong and stays so."""
     main = [quantity for quantity in found if quantity.key in ("rotation_deg", "time_shift_s")]
     vague = [quantity for quantity in main if not quantity.is_observable]
-    if len(vague) < len(main):
-        vague = [quantity for quantity in found if quantity.is_surely_wrong and not quantity.is_observable]
-    return [f"{quantity.sentence}; {WAVE}" for quantity in vague]
+    if len(vague) == len(main):
+        return [f"this motion tells neither {' nor '.join(quantity.name for quantity in main)} well enough: {WAVE}"]
+    wrong = [quantity.name for quantity in found if quantity.is_surely_wrong and not quantity.is_observable]
+    return [f"surely off, but known too little to be repaired: {' and '.join(wrong)}; {WAVE}"] if wrong else []
 
 
 def _one_axis(match: TurningMatch) -> str:

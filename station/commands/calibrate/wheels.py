@@ -140,7 +140,17 @@ def _sentences(answer: dict[str, Any], out: Path) -> list[str]:
         where = "put it into the robot's configuration"
     return [
         *figures,
-        f"it turns {100 * answer['slip']:.0f} % less than its wheels roll",
-        *([] if answer["lag_s"] is None else [f"the motors answer {2 * answer['lag_s']:.2f} s late"]),
+        f"it turns {_less(answer['slip'])} than its wheels roll, by the track that it drove with",
+        *_lag(answer["lag_s"]),
         f"written to {out}: {where}",
     ]
+
+
+def _less(share: float) -> str:
+    return f"{100 * share:.0f} % less" if share >= 0 else f"{-100 * share:.0f} % more"
+
+
+def _lag(lag_s: float | None) -> list[str]:
+    if lag_s is None:
+        return []
+    return [f"the motors follow a command with lag_s {lag_s:.4f} s, twice in a row (motor and gear)"]

@@ -19,6 +19,7 @@ from station.calibration.bundle import covariance, fit_camera, stack_views
 from station.calibration.camera import CameraFit, Rejected, best_lens, calibrate_camera, foretelling_lens
 from station.calibration.camera_verdict import reasons_against
 from station.calibration.target import BoardView, Target
+from station.calibration.views import Views, why_few
 from station.commands.calibrate.camera import write
 from tests.support.board_views import CAMERA, GRID, Shape, facing, random_pose, see, session
 from tests.support.paths import RECORDINGS
@@ -185,6 +186,28 @@ def test_poor_sessions_are_refused_with_their_remedy(
     found, _ = calibrated(session(seed, 20, pose, shape=shape or (lambda corners: corners)))
     reasons = reasons_against(found)
     assert any(remedy in reason for reason in reasons), reasons
+
+
+@pytest.mark.parametrize("columns", [4, 6])
+@pytest.mark.parametrize("camera", [CAMERA, FISHEYE])
+def test_a_board_with_other_columns_is_named_before_it_is_fitted(camera: CameraCalibration, columns: int) -> None:
+    views = session(13, 20, random_pose if camera is CAMERA else to_the_edge, camera=camera)
+    other = replace(GRID, columns=columns, rows=9)
+    found, rejected = calibrate_camera(other, views, SIZE)
+    assert found is None and {item.cause for item in rejected} == {"other board"}
+    seen = Views(tuple(views), SIZE, (), len(views), ())
+    assert "not the one in target.yaml" in why_few(other, seen, 0, 6, rejected)
+
+
+def test_what_no_shape_of_the_board_explains_is_named_before_its_shape() -> None:
+    rng = np.random.default_rng(14)
+    views = [
+        replace(view, corners_px=view.corners_px + rng.normal(0.0, 3.0, view.corners_px.shape))
+        for view in session(14, 20, shape=bent)
+    ]
+    found, _ = calibrated(views)
+    reasons = reasons_against(found)
+    assert "px are left" in reasons[0] and not any("bent" in reason for reason in reasons)
 
 
 def test_good_sessions_are_accepted() -> None:

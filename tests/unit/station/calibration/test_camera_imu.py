@@ -173,6 +173,12 @@ def test_a_target_of_another_size_is_named_with_its_true_size() -> None:
     assert_only_reason(calibrated(short_session(made=printed)), r"0\.9.* measure 32\.\d mm, not 36\.0 mm")
 
 
+def test_a_target_with_other_columns_is_not_taken_for_a_loose_camera() -> None:
+    session = short_session()
+    other = replace(session, target=replace(SMALL, columns=3, rows=6))
+    assert_only_reason(calibrated(other), "not the one in target.yaml")
+
+
 def test_an_imu_that_turned_otherwise_is_refused() -> None:
     other = replace(short_session(), imu=short_session(5).imu)
     assert_only_reason(calibrated(other), "fasten both to one rigid body")

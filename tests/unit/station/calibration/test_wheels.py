@@ -24,14 +24,15 @@ from station.calibration.wheels import (
     TOO_FEW_RESTS,
     Move,
     Wheels,
-    board_poses,
+    board_pose,
+    board_views,
     calibrate_wheels,
     find_rests,
     fit_factor,
     late,
     pose_before_board,
 )
-from station.commands.calibrate.wheels import wheels_section
+from station.commands.calibrate.wheels import _sentences, report, wheels_section
 from station.datasets import Dataset, open_dataset
 from station.main import app
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
@@ -72,6 +73,36 @@ def test_the_command_writes_what_the_robot_should_be_told(recording: tuple[Path,
     assert answer["full_speed_m_s"] == pytest.approx(0.5 * true["linear_efficiency"], rel=0.003)
     assert answer["track_m"] == pytest.approx(0.2 * true["linear_efficiency"] / true["yaw_efficiency"], rel=0.01)
     assert f"track_m = {answer['track_m']:.4f}" in out.read_text()
+
+
+@pytest.mark.parametrize(
+    ("other", "remedy"),
+    [
+        ({"tagSize": 0.027}, "correct tagSize"),
+        ({"tagCols": 4}, "not the one in target.yaml"),
+    ],
+)
+def test_a_board_that_is_not_the_files_is_refused(
+    recording: tuple[Path, Session], tmp_path: Path, other: dict[str, float], remedy: str
+) -> None:
+    folder, _ = recording
+    target, out = tmp_path / "target.yaml", tmp_path / "wheels.yaml"
+    target.write_text(json.dumps(read_yaml(folder / "target.yaml") | other))
+    out.write_text("as it was")
+    said = CliRunner().invoke(app, ["calibrate", "wheels", str(folder), "--target", str(target), "--out", str(out)])
+    assert said.exit_code == 2 and remedy in said.stdout
+    assert out.read_text() == "as it was"
+
+
+def test_the_answer_tells_the_lag_and_the_slip_in_the_same_numbers_for_people_and_scripts(
+    recording: tuple[Path, Session],
+) -> None:
+    found = measured(recording[0])
+    answer = report(found, None, None)
+    said = " ".join(_sentences(answer, Path("wheels.yaml")))
+    assert f"lag_s {answer['lag_s']:.4f} s" in said
+    more = " ".join(_sentences(answer | {"slip": -0.04}, Path("wheels.yaml")))
+    assert "4 % more than its wheels roll" in more and "-4" not in more
 
 
 def test_without_what_the_robot_drove_with_no_speed_is_made_up(recording: tuple[Path, Session], tmp_path: Path) -> None:
@@ -162,7 +193,8 @@ def test_a_part_of_a_chessboard_tells_no_pose() -> None:
         T = T_cam_board(target, np.array([0.2, -0.2, 0.0]), 0.3, (aside, 0.0))
         grey = photograph(printed_page(target), camera, T)
         encoded = [cv2.imencode(".png", grey)[1].tobytes()] * 3
-        seen[name] = board_poses(iter(pictures(encoded)), camera, target, [(8 * S, 10 * S)], lambda: None)[0]
+        views = board_views(iter(pictures(encoded)), camera, target, [(8 * S, 10 * S)], lambda: None)[0]
+        seen[name] = board_pose(views, camera, target)
     assert seen["whole"] is not None
     assert seen["part"] is None
 

@@ -19,7 +19,7 @@ STATIC = RECORDINGS / "euroc_v1_01_static"
 
 
 def quantity(key: str, away: FloatArray, sigma: float, excited: str = "") -> Quantity:
-    return Quantity(key, key, "x", away, np.full(len(away), sigma), known_to=0.2, borne=0.5, excited=excited)
+    return Quantity(key, key, (" x", 1.0), away, np.full(len(away), sigma), known_to=0.2, borne=0.5, excited=excited)
 
 
 def test_a_difference_of_many_sigmas_that_is_small_needs_no_repair() -> None:
@@ -39,6 +39,35 @@ def test_nothing_is_written_where_something_is_surely_wrong_and_too_vague_to_rep
     vague = quantity("rotation_deg", np.array([5.0, 0.0, 0.0]), 0.4)
     assert "surely off" in too_vague([vague, shift])[0]
     assert too_vague([quantity("rotation_deg", np.array([0.1, 0.0, 0.0]), 0.4), shift]) == []
+
+
+def test_a_person_is_told_small_units_and_scripts_are_told_si() -> None:
+    shift = Quantity("time shift", "time_shift_s", (" ms", 1e3), np.array([8.9e-5]), np.array([1.4e-4]), 3.3e-4, 1e-3, "")
+    assert shift.sentence == "the time shift fits: found 0.089 ms ± 0.14 ms from what was told"
+    away, sigma = np.array([-0.0045]), np.array([0.01])
+    focal = Quantity("focal length", "focal_length", (" %", 100.0), away, sigma, 0.015, 0.02, "")
+    assert "0.45 % ± 1.0 %" in focal.sentence and focal.away[0] == -0.0045
+
+
+def test_what_several_quantities_are_not_seen_by_is_said_once() -> None:
+    hidden = [quantity(key, np.zeros(3), 0.1, "it turned about one axis only") for key in ("rotation", "position")]
+    found = checked(*hidden, RIGHT_SHIFT)
+    said = summary(found, [], Path("found.yaml"))
+    assert said.count("one axis only") == 1 and "the rotation and the position are not observable" in said
+
+
+def test_an_estimate_that_is_not_believed_says_nothing_of_any_quantity() -> None:
+    hidden = quantity("rotation_deg", np.zeros(3), 0.1, "it turned about one axis only")
+    reason = "the estimate did not settle: it turned about one axis only"
+    found = CalibrationCheck(REFERENCE_CAMERA, [reason], None, [hidden, RIGHT_SHIFT])
+    said = summary(found, [], Path("found.yaml"))
+    assert said.count("one axis only") == 1 and "observable" not in said and "fits" not in said
+
+
+def test_neither_reason_repeats_what_the_notes_say() -> None:
+    vague = [quantity(key, np.zeros(1), 0.4) for key in ("rotation_deg", "time_shift_s")]
+    said = summary(checked(*vague), [], Path("found.yaml"))
+    assert said.count("known to") == 2 and "neither rotation_deg nor time_shift_s" in said
 
 
 def checked(*quantities: Quantity) -> CalibrationCheck:

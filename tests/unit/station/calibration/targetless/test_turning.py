@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from shared.geometry import FloatArray, so3_exp, so3_log
-from station.calibration.targetless.turning import relative_rotation
+from station.calibration.targetless.tracks import Sightings
+from station.calibration.targetless.turning import planar_share, relative_rotation
+from station.calibration.targetless.verdict import MAX_PLANAR
 
 
 def two_views(moved: FloatArray, turn: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
@@ -30,3 +32,16 @@ def test_wrong_corners_lie_beside_their_epipolar_lines() -> None:
     R, distance = relative_rotation(a, b, 1.5e-3)
     assert np.linalg.norm(so3_log(so3_exp(np.array([0.05, -0.08, 0.03])).T @ R)) < 2e-3
     assert np.median(distance[:15]) > 10 * np.median(distance[15:])
+
+
+@pytest.mark.parametrize(("depth_m", "is_planar"), [(0.0, True), (2.0, False)])
+def test_a_wall_is_told_from_a_room(depth_m: float, is_planar: bool) -> None:
+    rng, num_images = np.random.default_rng(5), 12
+    points = rng.uniform([-1.5, -1.0, 2.0], [1.5, 1.0, 2.0 + depth_m], (80, 3))
+    moved = 0.08 * np.arange(num_images)[:, None, None] * np.array([1.0, 0.3, 0.2])
+    xy = (points - moved)[..., :2] / (points - moved)[..., 2:]
+    xy += 3e-4 * rng.standard_normal(xy.shape)
+    corner, image = np.divmod(np.arange(80 * num_images), num_images)
+    at = xy[image, corner]
+    seen = Sightings(0.1 * np.arange(num_images), image, corner, 500.0 * at, at)
+    assert (planar_share(seen, 500.0) > MAX_PLANAR) == is_planar
