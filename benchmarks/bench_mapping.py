@@ -32,10 +32,11 @@ from station.config import BACKENDS
 from station.datasets import Dataset, open_dataset
 from station.demo.judge import is_right
 from station.experiments.alignment import align_points
-from station.experiments.trajectory_error import absolute_trajectory_error, interpolate_poses, path_length
+from station.experiments.trajectory_error import absolute_trajectory_error, path_length
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation, Trajectory
 from station.model.place_map import PlaceMap
+from station.motion.interpolation import interpolate_poses
 from station.places.localisation.localizer import Localizer
 from station.places.making.build import build_map
 from station.places.tracking.tracker import PlaceTracker
@@ -121,7 +122,7 @@ def second_drive(path: Path, backend: str, place_map: PlaceMap, T_truth_map: Flo
                 live.add_imu(event)
             elif isinstance(event, DriveSample):
                 live.add_drive(event)
-            else:
+            elif isinstance(event, ImageFrame):
                 update = live.add_frame(event)
                 if update.T_world_body is not None:
                     tracker.on_odometry(event.t_robot_ns + shift_ns, update.T_world_body, update.segment)

@@ -34,7 +34,7 @@ from shared.geometry import FloatArray
 from station.commands.slam import given_state
 from station.datasets import open_dataset
 from station.experiments.trajectory_error import absolute_trajectory_error, path_length, relative_pose_error
-from station.model.frames import DriveSample, ImuBatch
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Trajectory
 from station.motion.error_coordinates import ErrorKind, difference_group
 from station.motion.imu_buffer import ImuBuffer
@@ -90,7 +90,7 @@ def run_dataset(path: Path, label: str, config: UkfConfig, start: str, seed: int
                 backend.add_imu(event)
             elif isinstance(event, DriveSample):
                 backend.add_drive(event)
-            else:
+            elif isinstance(event, ImageFrame):
                 begin = time.process_time()
                 update = backend.add_frame(event)
                 frame_s.append(time.process_time() - begin)

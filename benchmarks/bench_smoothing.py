@@ -23,7 +23,7 @@ from benchmarks.slam_studies import flat_drive, v102_drive
 from shared.errors import RobotSystemError
 from station.datasets import open_dataset
 from station.experiments.trajectory_error import absolute_trajectory_error, path_length, relative_pose_error
-from station.model.frames import ImageFrame, ImuBatch
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Trajectory
 from station.slam.backends import make_backend
 
@@ -51,7 +51,7 @@ def judge(path: Path, group: str, name: str) -> dict[str, Any]:
                     live_T.append(update.T_world_body)
             elif isinstance(event, ImuBatch):
                 backend.add_imu(event)
-            else:
+            elif isinstance(event, DriveSample):
                 backend.add_drive(event)
         driven_s = time.process_time() - begin
         nav = backend.finish()

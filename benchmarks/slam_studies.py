@@ -183,7 +183,7 @@ def run_speed(results: Results, paths: list[Path], config: UkfConfig) -> None:
                 cpu.append(time.process_time() - b)
             elif isinstance(event, ImuBatch):
                 backend.add_imu(event)
-            else:
+            elif isinstance(event, DriveSample):
                 backend.add_drive(event)
         driven_wall, driven_cpu = time.perf_counter() - wall_begin, time.process_time() - cpu_begin
         nav = backend.finish()

@@ -86,6 +86,10 @@ SUITE = (
         "--worlds home:600-609 plain:600-609 corner:600-609 small:600-604 lookalike:600-604 large:600-609",
         "--worlds small:600",
     ),
+    Benchmark(
+        "depth", PLACES, "bench_depth", f"--data {DATA}/redkitchen", f"--data {DATA}/redkitchen --passes 500-698",
+        data=f"{DATA}/redkitchen",
+    ),
     Benchmark("experiments", PLACES, "bench_experiments", "--seeds 30", None, data=f"{DATA}/redkitchen"),
     Benchmark("stickers", PLACES, "bench_stickers", "--tries 100", "--tries 2"),
     Benchmark("plates", PLACES, "bench_plates", "--first 9000 --tries 50", "--tries 2"),

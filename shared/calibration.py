@@ -17,6 +17,8 @@ Rig = Literal["wheels", "hand-held", "unknown"]
 RIGS: tuple[str, ...] = get_args(Rig)
 MAX_IMAGE_SIDE_PX = 8192
 Side = Annotated[int, msgspec.Meta(ge=1, le=MAX_IMAGE_SIDE_PX)]
+IDENTITY = (1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1)
+MAX_DEPTH_SIDE_PX = 2048  # no depth camera has more
 MAX_SHIFT_S = 10.0  # between the clocks of one robot's sensors; more is a mistake of units
 MAX_LINE_DELAY_S = 0.01  # a row every 10 ms would take seconds for one image
 # Beyond these no phone, fisheye or telescope goes: a number is in the wrong place or unit.
@@ -30,6 +32,21 @@ MAX_SCALE, MAX_MISALIGNMENT_RAD = 2.0, 0.5  # of an accelerometer; more is a mis
 MAX_RATE_HZ = 1e5
 WHEEL_FACTORS = (0.1, 10.0)  # beyond, a command and what comes of it are not the same motion
 GRAVITIES = (1.0, 30.0)  # m/s^2, smaller than the Moon's, more than Jupiter's
+
+
+def _check_mounting(name: str, T: tuple[float, ...], sensor: str) -> None:
+    """Whether 16 numbers are a rigid motion that puts a sensor on a robot. Raises ConfigError."""
+    if len(T) != 16:
+        raise ConfigError(f"{name} has {len(T)} numbers, needs 16 (row-major 4x4)")
+    R = np.array(T, dtype=np.float64).reshape(4, 4)[:3, :3]
+    may_be = np.abs(R).max() <= 1.0 + MAX_SKEW  # products of larger numbers may overflow
+    is_rotation = may_be and np.abs(R @ R.T - np.eye(3)).max() <= MAX_SKEW and np.linalg.det(R) > 0
+    if not is_rotation or T[12:] != (0, 0, 0, 1):
+        raise ConfigError(
+            f"{name} is no rigid motion: its rotation's rows must be right-handed unit axes, its last row 0, 0, 0, 1"
+        )
+    if math.hypot(T[3], T[7], T[11]) > MAX_LEVER_M:
+        raise ConfigError(f"{name} puts the {sensor} further than {MAX_LEVER_M:g} m from the IMU; it is in metres")
 
 
 class CameraCalibration(msgspec.Struct, frozen=True, kw_only=True):
@@ -46,7 +63,7 @@ class CameraCalibration(msgspec.Struct, frozen=True, kw_only=True):
     cy: float
     model: Literal["radtan", "equidistant"] = "radtan"
     distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)  # radtan: k1 k2 p1 p2; equidistant: k1 k2 k3 k4
-    T_body_cam: tuple[float, ...] = (1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1)  # row-major 4x4
+    T_body_cam: tuple[float, ...] = IDENTITY  # row-major 4x4
     time_shift_s: float = 0.0  # t_imu = t_cam + time_shift_s
     line_delay_s: float = 0.0  # rolling shutter: row v is exposed line_delay_s * v after row 0; 0 is a global shutter
     rate_hz: float = 20.0
@@ -65,12 +82,10 @@ class CameraCalibration(msgspec.Struct, frozen=True, kw_only=True):
             raise ConfigError(f"time_shift_s is {self.time_shift_s:g}, must be within {MAX_SHIFT_S:g} s")
         if not abs(self.line_delay_s) <= MAX_LINE_DELAY_S:
             raise ConfigError(f"line_delay_s is {self.line_delay_s:g}, must be within {MAX_LINE_DELAY_S:g} s")
-        if len(self.T_body_cam) != 16:
-            raise ConfigError(f"T_body_cam has {len(self.T_body_cam)} numbers, needs 16 (row-major 4x4)")
         if len(self.distortion) != 4:
             raise ConfigError(f"distortion has {len(self.distortion)} numbers, needs 4")
         self._check_lens()
-        self._check_mounting()
+        _check_mounting("T_body_cam", self.T_body_cam, "camera")
 
     def _check_lens(self) -> None:
         if self.fx <= 0 or self.fy <= 0:
@@ -85,21 +100,6 @@ class CameraCalibration(msgspec.Struct, frozen=True, kw_only=True):
             raise ConfigError(f"focal lengths {self.fx:g} and {self.fy:g} px differ more than any sensor's pixels do")
         if max(map(abs, self.distortion)) > MAX_DISTORTION:
             raise ConfigError(f"distortion {self.distortion} is no lens's, whose numbers are within {MAX_DISTORTION:g}")
-
-    def _check_mounting(self) -> None:
-        T = self.T_body_cam_matrix
-        R = T[:3, :3]
-        may_be = np.abs(R).max() <= 1.0 + MAX_SKEW  # products of larger numbers may overflow
-        is_rotation = may_be and np.abs(R @ R.T - np.eye(3)).max() <= MAX_SKEW and np.linalg.det(R) > 0
-        if not is_rotation or self.T_body_cam[12:] != (0, 0, 0, 1):
-            raise ConfigError(
-                "T_body_cam is no rigid motion: its rotation's rows must be right-handed unit axes,"
-                " its last row 0, 0, 0, 1"
-            )
-        if math.hypot(*T[:3, 3]) > MAX_LEVER_M:
-            raise ConfigError(
-                f"T_body_cam puts the camera further than {MAX_LEVER_M:g} m from the IMU; it is in metres"
-            )
 
     @property
     def middle_row_shift_s(self) -> float:
@@ -120,6 +120,53 @@ class CameraCalibration(msgspec.Struct, frozen=True, kw_only=True):
     def T_cam_body_matrix(self) -> FloatArray:
         """(4, 4), maps body to camera coordinates."""
         return inverse(self.T_body_cam_matrix)
+
+
+class DepthCalibration(msgspec.Struct, frozen=True, kw_only=True):
+    """A depth sensor, as a pinhole camera without distortion whose pixels are distances along its axis.
+
+    A depth camera has many pixels, a time-of-flight sensor as the VL53L5CX 8 x 8. It is fixed to the body.
+    """
+
+    width: Side
+    height: Side
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    T_body_depth: tuple[float, ...] = IDENTITY  # row-major 4x4
+    is_measured: bool = True  # False: where it sits is a guess
+
+    def __post_init__(self) -> None:
+        if not (0 < self.width <= MAX_DEPTH_SIDE_PX and 0 < self.height <= MAX_DEPTH_SIDE_PX):
+            raise ConfigError(f"depth pictures of {self.width}x{self.height} are outside 1..{MAX_DEPTH_SIDE_PX} pixels")
+        if not all(math.isfinite(n) for n in (self.fx, self.fy, self.cx, self.cy, *self.T_body_depth)):
+            raise ConfigError("the depth sensor's calibration holds a number that is not finite")
+        shortest, longest = (sides * max(self.width, self.height) for sides in FOCAL_SIDES)
+        if not (shortest <= self.fx <= longest and shortest <= self.fy <= longest):
+            raise ConfigError(
+                f"focal length ({self.fx:g}, {self.fy:g}) px is none that a depth sensor of"
+                f" {self.width}x{self.height} pixels has, which is {shortest:g} to {longest:g} px"
+            )
+        _check_mounting("T_body_depth", self.T_body_depth, "depth sensor")
+
+    @property
+    def T_body_depth_matrix(self) -> FloatArray:
+        """(4, 4), maps the sensor's coordinates (z along its axis, x right, y down) to body coordinates."""
+        return np.array(self.T_body_depth, dtype=np.float64).reshape(4, 4)
+
+    def thinned(self, step: int) -> DepthCalibration:
+        """Of every step-th pixel of every step-th row, from the middle of the first step x step pixels on."""
+        first = (step - 1) // 2
+        return msgspec.structs.replace(
+            self,
+            width=len(range(first, self.width, step)),
+            height=len(range(first, self.height, step)),
+            fx=self.fx / step,
+            fy=self.fy / step,
+            cx=(self.cx - first) / step,
+            cy=(self.cy - first) / step,
+        )
 
 
 class HeadCalibration(msgspec.Struct, frozen=True, kw_only=True):
@@ -227,6 +274,7 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
     rig: Rig = "unknown"  # what carries the sensors
     head: HeadCalibration | None = None  # None: the camera is fixed to the body
     wheels: WheelCalibration | msgspec.UnsetType = msgspec.UNSET  # not measured
+    depth: DepthCalibration | msgspec.UnsetType = msgspec.UNSET  # it has no such sensor
 
     def __post_init__(self) -> None:
         lightest, heaviest = GRAVITIES
@@ -237,6 +285,10 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
     def wheel_factors(self) -> WheelCalibration:
         """As measured; or motors that do as they are told."""
         return self.wheels if isinstance(self.wheels, WheelCalibration) else WheelCalibration()
+
+    @property
+    def depth_sensor(self) -> DepthCalibration | None:
+        return self.depth if isinstance(self.depth, DepthCalibration) else None
 
     @property
     def has_wheels(self) -> bool:

@@ -120,6 +120,16 @@ def images_in_order(folder: Path) -> list[tuple[int, Path]]:
     return sorted(zip(numbers, files, strict=True))
 
 
+def depth_images(folder: Path) -> dict[int, Path]:
+    """The depth pictures `*.depth.png` of a folder of images, by the number of the image that each was taken with."""
+    found = {}
+    for path in sorted(folder.glob("*.depth.png")):
+        digits = re.findall(r"\d+", path.name.split(".")[0], re.ASCII)
+        if digits:
+            found[int(digits[-1])] = path
+    return found
+
+
 def image_times_ns(numbers: list[int], rate_hz: float, folder: Path) -> list[int]:
     """When images of these increasing numbers were taken: number / rate from 0 on, or the numbers if they are stamps.
 

@@ -14,7 +14,14 @@ import yaml
 from yaml.error import MarkedYAMLError
 
 from shared.bounded import read_text, shown
-from shared.calibration import RIGS, AccelerometerCalibration, CameraCalibration, ImuNoise, Rig
+from shared.calibration import (
+    RIGS,
+    AccelerometerCalibration,
+    CameraCalibration,
+    DepthCalibration,
+    ImuNoise,
+    Rig,
+)
 from shared.errors import ConfigError, DataError
 from shared.geometry import FloatArray, orthonormal, se3
 
@@ -62,6 +69,7 @@ ALIKE = 0.8  # share of letters that two keys have in common, in order: one is a
 
 MAX_EXPOSURE_S = 10.0
 CAMERA_FILES = ("camera.yaml", "camera-intrinsics.txt")  # of a folder of images
+DEPTH_FILE = "depth-intrinsics.txt"  # likewise
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -233,6 +241,22 @@ def read_folder_camera(folder: Path, image_size: Callable[[], tuple[int, int]]) 
     K = read_intrinsics_text(text_path)
     width, height = image_size()  # and 30 images a second, as 7-Scenes has them
     return CameraCalibration(width=width, height=height, fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], rate_hz=30.0)
+
+
+def read_folder_depth(folder: Path, image_size: Callable[[], tuple[int, int]]) -> DepthCalibration | None:
+    """The depth sensor of a folder of images: its `depth-intrinsics.txt`, and the size of a depth picture.
+
+    Nobody says where it sits beside the camera: as if in its place. None where the file is not there.
+    """
+    path = folder / DEPTH_FILE
+    if not path.is_file():
+        return None
+    (fx, _, cx), (_, fy, cy), _ = read_intrinsics_text(path).tolist()
+    width, height = image_size()
+    try:
+        return DepthCalibration(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, is_measured=False)
+    except ConfigError as exc:
+        raise DataError(f"{path}: {exc}") from exc
 
 
 def read_imu_noise(path: Path, content: dict[str, Any]) -> ImuNoise:

@@ -11,10 +11,11 @@ import numpy as np
 from shared.calibration import Calibration
 from shared.errors import DataError
 from shared.geometry import FloatArray, IntArray
-from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.frames import DepthFrame, DriveSample, ImageFrame, ImuBatch
 
 # Inertial samples kept on both sides of a chosen range of frames: filters interpolate at its ends.
 IMU_MARGIN_NS = 500_000_000
+LAST_NS = int(np.iinfo(np.int64).max)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,24 +45,41 @@ class Dataset:
     imu: ImuBatch | None = None  # all samples; None: no IMU
     drive: Sequence[DriveSample] = ()  # velocities the motors were told to hold; empty where not recorded
     truth: Truth | None = None  # for judging, never for estimating
+    read_depth: Callable[[], Iterator[DepthFrame]] | None = None  # in time order; None: no depth sensor
 
     @property
     def has_images(self) -> bool:
         return self.read_frames is not None
 
-    def events(self) -> Iterator[ImuBatch | DriveSample | ImageFrame]:
-        """Everything in sensor-time order, as a SlamBackend wants it: IMU and drive up to a frame come before it.
+    def events(self) -> Iterator[ImuBatch | DriveSample | DepthFrame | ImageFrame]:
+        """Everything in sensor-time order, as a SlamBackend wants it: what was measured up to a frame comes before it.
 
         Up to its stamp, and up to when it was taken by the IMU's clock: a camera may stamp earlier than that.
         """
         pending = _InertialEvents(self.imu, self.drive)
+        depth = _until(iter(()) if self.read_depth is None else self.read_depth())
         camera = self.calibration.camera
         late_ns = max(0, round(1e9 * camera.middle_row_shift_s)) if camera is not None else 0
         if self.read_frames is not None:
             for frame in self.read_frames():
                 yield from pending.until(frame.t_robot_ns + late_ns)
+                yield from depth(frame.t_robot_ns + late_ns)
                 yield frame
-        yield from pending.until(np.iinfo(np.int64).max)
+        yield from pending.until(LAST_NS)
+        yield from depth(LAST_NS)
+
+
+def _until(frames: Iterator[DepthFrame]) -> Callable[[int], Iterator[DepthFrame]]:
+    """Hands out what was measured up to a time, one time after the other."""
+    waiting = next(frames, None)
+
+    def until(t_ns: int) -> Iterator[DepthFrame]:
+        nonlocal waiting
+        while waiting is not None and waiting.t_robot_ns <= t_ns:
+            yield waiting
+            waiting = next(frames, None)
+
+    return until
 
 
 class _InertialEvents:

@@ -1,4 +1,6 @@
-"""A folder of images with `camera.yaml` or `camera-intrinsics.txt`, optional `*.pose.txt` (T_world_cam)."""
+"""A folder of images with `camera.yaml` or `camera-intrinsics.txt`, optional `*.pose.txt` (T_world_cam), and optional
+`*.depth.png` with `depth-intrinsics.txt`.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +9,19 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
+import msgspec
 import numpy as np
 
 from shared.bounded import read_text
 from shared.calibration import Calibration
 from shared.errors import DataError
 from shared.geometry import FloatArray, orthonormal, se3
-from shared.recorded_files import FIRST_STAMP, image_times_ns, images_in_order
-from shared.sensor_yaml import CAMERA_FILES, read_folder_camera
+from shared.pictures import picture_size
+from shared.recorded_files import FIRST_STAMP, depth_images, image_times_ns, images_in_order
+from shared.sensor_yaml import CAMERA_FILES, read_folder_camera, read_folder_depth
 from station.datasets.asl import read_image_file
 from station.datasets.dataset import Dataset, Truth, choose_frames
-from station.model.frames import ImageFrame, decode_picture
+from station.model.frames import DepthFrame, ImageFrame, decode_picture
 
 UNKNOWN_RATE_HZ = 30.0
 
@@ -25,6 +29,7 @@ UNKNOWN_RATE_HZ = 30.0
 def open_image_folder(path: Path, first: int | None, last: int | None, step: int, needs_camera: bool = True) -> Dataset:
     """Open a folder of images. Times are frame number / rate from 0 on, or the stamps the images are named by.
 
+    A depth picture has the time of the image of its number; `step` leaves none out.
     Without a camera there is no rate: images that are not named by stamps are then as if taken at UNKNOWN_RATE_HZ.
     """
     numbered = images_in_order(path)
@@ -39,11 +44,22 @@ def open_image_folder(path: Path, first: int | None, last: int | None, step: int
         numbers = list(range(len(numbers)))
     files = [files[i] for i in chosen]
     rate_hz = UNKNOWN_RATE_HZ if camera is None else camera.rate_hz
-    times = np.array(image_times_ns(numbers, rate_hz, path), dtype=np.int64)[chosen]
+    all_times = image_times_ns(numbers, rate_hz, path)
+    times = np.array(all_times, dtype=np.int64)[chosen]
+    depth = depth_images(path)
+    time_of = {number: t for (number, _), t in zip(numbered, all_times, strict=True) if times[0] <= t <= times[-1]}
+    taken_with = sorted(depth.keys() & time_of)
+    sensor = read_folder_depth(path, lambda: _depth_size(depth[taken_with[0]])) if taken_with else None
 
     def read_frames() -> Iterator[ImageFrame]:
         for index, (t_ns, file) in enumerate(zip(times, files, strict=True)):
             yield ImageFrame(index, int(t_ns), 0, read_image_file(file), file.name)
+
+    def read_depth() -> Iterator[DepthFrame]:
+        if sensor is not None:
+            for number in taken_with:
+                file = depth[number]
+                yield DepthFrame(time_of[number], read_image_file(file), sensor, file.name)
 
     poses = [read_pose(file) for file in files]
     has_pose = [i for i, pose in enumerate(poses) if pose is not None]
@@ -51,12 +67,13 @@ def open_image_folder(path: Path, first: int | None, last: int | None, step: int
     return Dataset(
         path=path,
         kind="images",
-        calibration=Calibration(camera=camera, imu=None),
+        calibration=Calibration(camera=camera, imu=None, depth=msgspec.UNSET if sensor is None else sensor),
         # Three by three numbers without distortion are a guess.
         intrinsics_known=camera is not None and camera.is_measured and (path / "camera.yaml").is_file(),
         frame_times_ns=times,
         read_frames=read_frames,
         truth=truth,
+        read_depth=None if sensor is None else read_depth,
     )
 
 
@@ -66,6 +83,13 @@ def _image_size(path: Path) -> tuple[int, int]:
     except ValueError as exc:
         raise DataError(f"image {path} {exc}; remove it or copy it again") from exc
     return width, height
+
+
+def _depth_size(path: Path) -> tuple[int, int]:
+    try:
+        return picture_size(read_image_file(path))
+    except ValueError as exc:
+        raise DataError(f"depth picture {path} {exc}; remove it or copy it again") from exc
 
 
 def read_pose(image: Path) -> FloatArray | None:

@@ -14,11 +14,11 @@ from station.datasets import Dataset
 from station.experiments.alignment import align_most_points, align_poses
 from station.experiments.calibration_curve import Bin, calibration_bins, calibration_error
 from station.experiments.evaluation import truth_of_body
-from station.experiments.trajectory_error import interpolate_poses
 from station.model.floor_plan import FloorPlan
 from station.model.navigation import Navigation
 from station.model.place_answer import PlaceAnswer
 from station.model.place_map import Place, PlaceMap
+from station.motion.interpolation import interpolate_poses
 from station.places.tracking.room_view import RoomView
 
 TIE = 1.1  # so many times the distance of the nearest place: as near, so right too

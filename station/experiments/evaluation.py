@@ -12,14 +12,13 @@ from shared.geometry import IntArray, carry_poses, inverse
 from station.datasets import Dataset, Truth
 from station.experiments.alignment import AlignmentKind, align_points
 from station.experiments.trajectory_error import (
-    MAX_GAP_NS,
     RelativeError,
     TrajectoryError,
     absolute_trajectory_error,
-    interpolate_poses,
     relative_pose_error,
 )
 from station.model.navigation import Navigation, Trajectory
+from station.motion.interpolation import MAX_GAP_NS, interpolate_poses
 
 DRIFT_OVER_S = 1.0
 MAX_UNKNOWN_NS = 1_000_000_000  # poses further apart than this leave the time between them without one

@@ -7,26 +7,15 @@ on quantitative trajectory evaluation for visual(-inertial) odometry, IROS 2018 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from shared.errors import DegenerateGeometry
-from shared.geometry import FloatArray, IntArray, inverse, se3, slerp, so3_log, transform
+from shared.geometry import FloatArray, IntArray, inverse, so3_log, transform
 from station.experiments.alignment import Alignment, AlignmentKind, align_points
+from station.motion.interpolation import Poses, interpolate_poses
 
-MAX_GAP_NS = 100_000_000  # truth further apart than this is not interpolated
 STAMP_ROUNDING_NS = 1_000_000  # times of a constant rate, rounded: 30 frames at 30 Hz may be 10 ns short of a second
-
-
-class Poses(Protocol):
-    """Trajectory, Truth: anything with poses over time."""
-
-    @property
-    def t_robot_ns(self) -> IntArray: ...  # (N,) increasing
-
-    @property
-    def T_world_body(self) -> FloatArray: ...  # (N, 4, 4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,33 +41,6 @@ class RelativeError:
     translation_rmse_m: float
     rotation_rmse_rad: float
     num_pairs: int
-
-
-def interpolate_poses(poses: Poses, t_ns: IntArray, max_gap_ns: int = MAX_GAP_NS) -> tuple[FloatArray, IntArray]:
-    """Poses (M, 4, 4) at times, linear in position and along the rotation, and the indices (M,) of the times covered.
-
-    Times outside of the poses, or in a gap longer than max_gap_ns, are left out.
-    """
-    known = np.asarray(poses.t_robot_ns)
-    T = poses.T_world_body
-    out, kept = [], []
-    for i, t in enumerate(np.asarray(t_ns).tolist()):
-        after = int(np.searchsorted(known, t))
-        if after < len(known) and known[after] == t:
-            out.append(T[after])
-        elif 0 < after < len(known) and known[after] - known[after - 1] <= max_gap_ns:
-            fraction = float((t - known[after - 1]) / (known[after] - known[after - 1]))
-            out.append(between(T[after - 1], T[after], fraction))
-        else:
-            continue
-        kept.append(i)
-    return np.array(out).reshape(-1, 4, 4), np.array(kept, dtype=np.int64)
-
-
-def between(T_a: FloatArray, T_b: FloatArray, fraction: float) -> FloatArray:
-    """The pose at a fraction (0..1) of the way from a to b."""
-    R = slerp(T_a[:3, :3], T_b[:3, :3], fraction)
-    return se3(R, (1.0 - fraction) * T_a[:3, 3] + fraction * T_b[:3, 3])
 
 
 def absolute_trajectory_error(estimate: Poses, truth: Poses, kind: AlignmentKind = "yaw") -> TrajectoryError:

@@ -6,6 +6,7 @@ landmarks.ply       x y z (double), red green blue, first_frame, num_observation
 navigation.json     the report
 calibration.json    camera and IMU the navigation was made with
 keyframes/          NNNNNN.jpg|png as recorded, and observations.npz: poses, segments, observations
+depth.npz           where depth was measured: times, and pictures in mm with the pixels that were kept
 pictures.npz        derived, may be missing: what localisation sees in the keyframes (places/localisation)
 ```
 """
@@ -22,20 +23,22 @@ import msgspec
 import numpy as np
 
 from shared.bounded import MAX_FILE_BYTES, MAX_JSON_BYTES, MAX_LINE_BYTES, MB, parse_json, read_file, shown
-from shared.calibration import Calibration
+from shared.calibration import Calibration, DepthCalibration
 from shared.disk import make_folder, replacing_folder
 from shared.errors import ConfigError, DataError
 from shared.geometry import FloatArray, IntArray, are_poses, pose, quat_from_rotation
 from shared.recorded_files import MAX_TIME_NS
 from station.files.npz import UNREADABLE, open_arrays
 from station.files.ply import Columns, cloud_columns, decode_ply, encode_ply
-from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
+from station.model.navigation import DepthScans, Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 
 TRAJECTORY, LANDMARKS, REPORT, CALIBRATION = "trajectory.tum", "landmarks.ply", "navigation.json", "calibration.json"
 IMAGES = "keyframes"
 OBSERVATIONS = f"{IMAGES}/observations.npz"
 PICTURES = "pictures.npz"
-OUR_ENTRIES = {TRAJECTORY, LANDMARKS, REPORT, CALIBRATION, IMAGES, PICTURES, f".{PICTURES}"}  # the last half-written
+DEPTH = "depth.npz"
+OUR_ENTRIES = {TRAJECTORY, LANDMARKS, REPORT, CALIBRATION, IMAGES, DEPTH, PICTURES}
+OUR_ENTRIES |= {f".{PICTURES}"}  # half-written
 _MAX_BYTES = {REPORT: MAX_JSON_BYTES, CALIBRATION: MAX_JSON_BYTES, TRAJECTORY: 256 * MB}
 PNG_MAGIC = b"\x89PNG"
 _OF_KEYFRAMES = ("frame_index", "t_robot_ns", "T_world_cam", "segment", "names")
@@ -74,7 +77,10 @@ def load_navigation(folder: Path) -> Navigation:
     """Read what save_navigation wrote. Raises DataError naming the file that is missing or damaged."""
     if not (folder / REPORT).is_file():
         raise DataError(f"{folder} holds no navigation (no {REPORT}); give a folder written by `station slam`")
-    return decode_navigation(lambda name: read_file(folder / name, _MAX_BYTES.get(name, MAX_FILE_BYTES)), folder)
+    has_depth = (folder / DEPTH).exists()
+    return decode_navigation(
+        lambda name: read_file(folder / name, _MAX_BYTES.get(name, MAX_FILE_BYTES)), folder, has_depth=has_depth
+    )
 
 
 def encode_navigation(nav: Navigation) -> dict[str, bytes]:
@@ -103,11 +109,13 @@ def encode_navigation(nav: Navigation) -> dict[str, bytes]:
         LANDMARKS: encode_ply(_landmark_columns(nav)),
         OBSERVATIONS: observations.getvalue(),
     }
+    if nav.depth is not None:
+        files[DEPTH] = _encode_depth(nav.depth)
     images = zip(names, nav.keyframes.encoded, strict=True)
     return files | {f"{IMAGES}/{name}": encoded for name, encoded in images if name}
 
 
-def decode_navigation(read: Callable[[str], bytes], folder: Path) -> Navigation:
+def decode_navigation(read: Callable[[str], bytes], folder: Path, *, has_depth: bool) -> Navigation:
     """A navigation from its files; `read` gives the bytes of one by its path, `folder` is what messages call the whole.
 
     Raises:
@@ -130,7 +138,8 @@ def decode_navigation(read: Callable[[str], bytes], folder: Path) -> Navigation:
     keyframes, observations = _decode_keyframes(read, folder)
     landmarks = _decode_landmarks(read, folder, observations, len(keyframes))
     trajectory = parse_tum(_text(read, folder / TRAJECTORY), folder / TRAJECTORY)
-    return Navigation(identity, calibration, trajectory, keyframes, landmarks, report)
+    depth = _decode_depth(read, folder) if has_depth else None
+    return Navigation(identity, calibration, trajectory, keyframes, landmarks, report, depth)
 
 
 def format_tum(trajectory: Trajectory) -> str:
@@ -244,6 +253,29 @@ def _decode_keyframes(
     if len(counts) != 1 or len({len(column) for column in observations}) != 1:
         raise DataError(f"{path} is damaged (its arrays differ in length); make the navigation again")
     return keyframes, observations
+
+
+def _encode_depth(depth: DepthScans) -> bytes:
+    file = io.BytesIO()
+    np.savez_compressed(
+        file,
+        t_robot_ns=depth.t_robot_ns,
+        millimetres=depth.millimetres,
+        sensor=np.frombuffer(msgspec.json.encode(depth.sensor), dtype=np.uint8),
+    )
+    return file.getvalue()
+
+
+def _decode_depth(read: Callable[[str], bytes], folder: Path) -> DepthScans:
+    try:
+        with open_arrays(io.BytesIO(read(DEPTH))) as arrays:
+            t_ns, millimetres = arrays.read("t_robot_ns").astype(np.int64), arrays.read("millimetres")
+            sensor = msgspec.json.decode(arrays.read("sensor").tobytes(), type=DepthCalibration)
+        if millimetres.dtype != np.uint16 or millimetres.shape != (len(t_ns), sensor.height, sensor.width):
+            raise ValueError("its pictures are not what it says")
+    except (*UNREADABLE, msgspec.DecodeError, ConfigError) as exc:
+        raise DataError(f"{folder / DEPTH} is damaged ({exc}); make the navigation again") from exc
+    return DepthScans(t_ns, millimetres, sensor)
 
 
 def _decode_landmarks(

@@ -17,7 +17,7 @@ import numpy as np
 from shared.bounded import parse_json, shown
 from shared.errors import DataError
 from shared.text import is_printable, printable
-from station.files.navigation_folder import REPORT, decode_navigation, encode_navigation
+from station.files.navigation_folder import DEPTH, REPORT, decode_navigation, encode_navigation
 from station.files.npz import UNREADABLE as UNREADABLE_ARRAYS
 from station.maps.address import address_of
 from station.maps.blobs import REPAIR_OR_RESTORE, Blobs, Damaged
@@ -94,7 +94,7 @@ def read_map(record: MapRecord, blobs: Blobs) -> PlaceMap:
             raise Damaged(f"{what}: its record names no {name}; run `station map repair` or restore a backup")
         return blobs.get(record.files[name].address, f"{what}: {name}")
 
-    navigation = decode_navigation(read, what)
+    navigation = decode_navigation(read, what, has_depth=DEPTH in record.files)
     place_map = PlaceMap(
         id=record.map_id,
         name=record.name,

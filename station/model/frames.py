@@ -8,11 +8,14 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from shared.calibration import DepthCalibration
 from shared.errors import DataError
 from shared.geometry import FloatArray, IntArray
 from shared.pictures import picture_size
 
 ImageArray = npt.NDArray[np.uint8]
+DepthArray = npt.NDArray[np.uint16]  # mm along the sensor's axis; 0: nothing was measured
+NO_DEPTH = (0, 0xFFFF)  # what sensors and datasets write for it
 
 
 def decode_picture(encoded: bytes, flags: int) -> ImageArray:
@@ -51,6 +54,33 @@ class ImageFrame:
             return decode_picture(self.encoded, flags)
         except ValueError as exc:
             raise DataError(f"image {self.name or self.index} {exc}; remove it or copy it again") from exc
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthFrame:
+    """What a depth sensor measured at one time: a picture of distances, or the few zones of a time-of-flight sensor."""
+
+    t_robot_ns: int  # the IMU's clock
+    encoded: bytes  # a PNG file of 16 bit grey: mm along the sensor's axis, 0 or 65535 where nothing was measured
+    sensor: DepthCalibration
+    name: str = ""  # file name in a dataset, for messages
+
+    def millimetres(self) -> DepthArray:
+        """(H, W). Raises DataError when it cannot be decoded, or is no picture of this sensor."""
+        what = f"depth picture {self.name or self.t_robot_ns}"
+        try:
+            picture_size(self.encoded)
+        except ValueError as exc:
+            raise DataError(f"{what} {exc}; remove it or copy it again") from exc
+        image = cv2.imdecode(np.frombuffer(self.encoded, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+        if image is None or image.dtype != np.uint16 or image.ndim != 2:
+            raise DataError(f"{what} is no PNG of 16 bit grey; remove it or copy it again")
+        if image.shape != (self.sensor.height, self.sensor.width):
+            raise DataError(
+                f"{what} is {image.shape[1]}x{image.shape[0]}, the calibration is for {self.sensor.width}x"
+                f"{self.sensor.height}; give the calibration of these pictures"
+            )
+        return np.where(image == NO_DEPTH[1], 0, image).astype(np.uint16)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,9 +10,10 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from shared.calibration import Calibration, CameraCalibration
+from shared.calibration import Calibration, CameraCalibration, DepthCalibration
 from shared.geometry import FloatArray, IntArray, transform
 from station.model.calibration_fit import CalibrationFit
+from station.model.frames import DepthArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,6 +79,39 @@ class Landmarks:
         return [order[a:b] for a, b in itertools.pairwise(begin)]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthScans:
+    """What a depth sensor measured on the way, with fewer pixels than it has. Where it was, the trajectory says."""
+
+    t_robot_ns: IntArray  # (D,) increasing, the trajectory's clock
+    millimetres: DepthArray  # (D, h, w) along the sensor's axis; 0: nothing was measured
+    sensor: DepthCalibration  # of these pixels
+
+    def __len__(self) -> int:
+        return len(self.t_robot_ns)
+
+    def points_body(self, number: int) -> FloatArray:
+        """(n, 3) m what one scan measured."""
+        v, u = np.nonzero(self.millimetres[number])
+        z = self.millimetres[number][v, u] * 1e-3
+        s = self.sensor
+        return transform(s.T_body_depth_matrix, np.column_stack([(u - s.cx) / s.fx * z, (v - s.cy) / s.fy * z, z]))
+
+
+def join_depth(first: DepthScans | None, second: DepthScans | None, shift_ns: int) -> DepthScans | None:
+    """The scans of both, the second's so much later. Of two sensors the first one's: scans have one shape."""
+    if second is None or (first is not None and first.sensor != second.sensor):
+        return first
+    second = replace(second, t_robot_ns=second.t_robot_ns + shift_ns)
+    if first is None:
+        return second
+    return DepthScans(
+        np.concatenate([first.t_robot_ns, second.t_robot_ns]),
+        np.concatenate([first.millimetres, second.millimetres]),
+        first.sensor,
+    )
+
+
 def join_maps(parts: Sequence[tuple[Keyframes, Landmarks]]) -> tuple[Keyframes, Landmarks]:
     """All keyframes and landmarks of several parts, in their order; what observes what stays."""
     keyframes, landmarks = [k for k, _ in parts], [m for _, m in parts]
@@ -132,6 +166,7 @@ class Navigation:
     keyframes: Keyframes
     landmarks: Landmarks
     report: NavigationReport
+    depth: DepthScans | None = None  # None: nothing measured depth
 
     @property
     def is_metric(self) -> bool:

@@ -9,12 +9,13 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.frames import DepthFrame, DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation
 from station.model.slam_update import SlamUpdate
 from station.slam.backend import SlamBackend
+from station.slam.mapping.depth import DepthLog, with_depth
 
-Events = Iterator[ImuBatch | DriveSample | ImageFrame]
+Events = Iterator[ImuBatch | DriveSample | DepthFrame | ImageFrame]
 
 
 def run_backend(
@@ -28,6 +29,7 @@ def run_backend(
     Raises:
         EstimationError: nothing could be reconstructed; says why.
     """
+    depth = DepthLog()
     wall_begin, cpu_begin = time.perf_counter(), time.process_time()
     for event in events:
         if isinstance(event, ImageFrame):
@@ -36,11 +38,13 @@ def run_backend(
                 on_update(update)
         elif isinstance(event, ImuBatch):
             backend.add_imu(event)
+        elif isinstance(event, DepthFrame):
+            depth.add(event)
         else:
             backend.add_drive(event)
     if before_finish is not None:
         before_finish()
-    nav = backend.finish()
+    nav = with_depth(backend.finish(), depth)
     wall = time.perf_counter() - wall_begin
     report = dataclasses.replace(
         nav.report,

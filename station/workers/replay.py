@@ -19,7 +19,7 @@ from station.config import AUTO, can_filter, choose_backend
 from station.datasets import Dataset
 from station.maps.record import map_content_hash
 from station.model.calibration_fit import CalibrationFit, newer
-from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.frames import DepthFrame, DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation, Trajectory
 from station.model.place_answer import HijackEvent, HijackNotice, PlaceAnswer
 from station.model.place_map import PlaceMap
@@ -138,6 +138,8 @@ def run_slam(data: Dataset, options: ReplayOptions, pace: Pace, say: Say) -> tup
             slam.add_imu(event.t_robot_ns.tolist(), event.gyro_imu.tolist(), event.accel_imu.tolist())
         elif isinstance(event, DriveSample):
             slam.add_drive(event)
+        elif isinstance(event, DepthFrame):
+            slam.add_depth(event)
         else:
             slam.add_frame(event)
     return slam, updates
@@ -173,7 +175,7 @@ def locate(
             places.add_imu(event.t_robot_ns.tolist(), event.gyro_imu.tolist(), event.accel_imu.tolist())
         elif isinstance(event, DriveSample):
             places.add_drive(event)
-        elif next_ns is None or event.t_robot_ns >= next_ns:
+        elif isinstance(event, ImageFrame) and (next_ns is None or event.t_robot_ns >= next_ns):
             next_ns = event.t_robot_ns + interval_ns - STAMP_ROUNDING_NS
             answers.append(places.answer(event).answer)
         while update is not None and update.t_robot_ns <= _begin(event):
@@ -210,12 +212,12 @@ def answer_lines(answers: Iterable[PlaceAnswer]) -> str:
 
 
 def _paced(
-    events: Iterable[ImuBatch | DriveSample | ImageFrame], pace: Pace
-) -> Iterator[ImuBatch | DriveSample | ImageFrame]:
+    events: Iterable[ImuBatch | DriveSample | DepthFrame | ImageFrame], pace: Pace
+) -> Iterator[ImuBatch | DriveSample | DepthFrame | ImageFrame]:
     for event in events:
         pace(_begin(event))
         yield event
 
 
-def _begin(event: ImuBatch | DriveSample | ImageFrame) -> int:
+def _begin(event: ImuBatch | DriveSample | DepthFrame | ImageFrame) -> int:
     return int(event.t_robot_ns[0]) if isinstance(event, ImuBatch) else event.t_robot_ns

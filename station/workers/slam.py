@@ -13,13 +13,14 @@ import numpy as np
 from shared.calibration import Calibration
 from shared.errors import EstimationError
 from station.files.navigation_folder import PICTURES, save_navigation
-from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.frames import DepthFrame, DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation, NavigationReport
 from station.model.slam_update import SlamUpdate
 from station.motion.sensor_order import Sequencer
 from station.places.localisation.described_pictures import DescribedPictures
 from station.slam.backend import SlamBackend
 from station.slam.backends import make_backend
+from station.slam.mapping.depth import DepthLog, with_depth
 from station.workers.request import Vectors
 from station.workers.slam_interface import SlamProgram
 
@@ -33,6 +34,7 @@ class NavigationSlam(SlamProgram):
         self._emit = emit
         self._backend: SlamBackend | None = None
         self._sequencer = Sequencer(0.0, has_imu=False)
+        self._depth = DepthLog()
         self._started_s = 0.0
         self._pictures = DescribedPictures()
         self._num_described = 0  # how many of the backend's keyframes were looked at
@@ -53,6 +55,9 @@ class NavigationSlam(SlamProgram):
 
     def add_drive(self, sample: DriveSample) -> None:
         self._sequencer.add_drive(sample)
+
+    def add_depth(self, frame: DepthFrame) -> None:
+        self._depth.add(frame)
 
     def add_frame(self, frame: ImageFrame) -> None:
         self._sequencer.add_frame(frame)
@@ -106,7 +111,7 @@ class NavigationSlam(SlamProgram):
             self._feed(item)
         if self._backend is None:
             raise EstimationError("the navigation ended before it began; record again")
-        navigation = replace(self._backend.finish(), id=navigation_id)
+        navigation = replace(with_depth(self._backend.finish(), self._depth), id=navigation_id)
         wall_s, cpu_s = time.monotonic() - self._started_s, time.process_time()
         factor = navigation.report.duration_s / wall_s
         report = replace(navigation.report, wall_s=wall_s, cpu_s=cpu_s, realtime_factor=factor)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from shared.calibration import Calibration
-from station.model.frames import DriveSample, ImageFrame
+from station.model.frames import DepthFrame, DriveSample, ImageFrame
 from station.model.navigation import NavigationReport
 from station.model.slam_update import SlamUpdate
 from station.workers.request import Program, ProgramName, Vectors
@@ -27,6 +27,10 @@ class SlamProgram(Program, ABC):
     @abstractmethod
     def add_drive(self, sample: DriveSample) -> None:
         """A velocity the motors were told to hold."""
+
+    @abstractmethod
+    def add_depth(self, frame: DepthFrame) -> None:
+        """What a depth sensor measured, in its own time order. It is used when the navigation ends."""
 
     @abstractmethod
     def add_frame(self, frame: ImageFrame) -> None: ...

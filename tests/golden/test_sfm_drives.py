@@ -5,12 +5,15 @@ Bounds are about twice what was measured (docs/studies/sfm.md): they notice a br
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from station.commands.slam import summary
 from station.datasets import Dataset, open_dataset
+from station.experiments.depth_truth import align_by_depth
 from station.experiments.trajectory_error import absolute_trajectory_error
 from station.model.navigation import Navigation
 from station.slam.backends import make_backend
@@ -28,7 +31,7 @@ def reconstruct(data: Dataset) -> Navigation:
 
 @needs_data
 def test_kitchen_without_imu_is_right_up_to_a_similarity() -> None:
-    data = open_dataset(DATA / "redkitchen", 120, 220, step=2)
+    data = replace(open_dataset(DATA / "redkitchen", 120, 220, step=2), read_depth=None)
     nav = reconstruct(data)
     truth = data.truth
     assert truth is not None
@@ -37,6 +40,20 @@ def test_kitchen_without_imu_is_right_up_to_a_similarity() -> None:
     assert len(nav.landmarks) > 500 and nav.landmarks.num_observations.min() >= 3
     assert nav.calibration.camera is not None and 480 < nav.calibration.camera.fx < 580  # refined from a guess of 525
     assert "arbitrary scale" in summary(nav, Path("nav"))
+
+
+@needs_data
+def test_kitchen_gets_its_metres_from_depth_in_every_tenth_frame() -> None:
+    data = open_dataset(DATA / "redkitchen", 500, 698)
+    nav = reconstruct(data)
+    assert data.truth is not None
+    assert nav.is_metric and not nav.is_gravity_aligned
+    assert nav.report.config["depth"]["scans"] == 20
+    assert abs(align_by_depth(nav, data.truth).scale - 1.0) < 0.02
+    assert "metres by depth" in summary(nav, Path("nav"))
+    plain = reconstruct(replace(data, read_depth=None))
+    shape = plain.keyframes.T_world_cam[:, :3, 3] * nav.report.config["depth"]["scale"]
+    np.testing.assert_allclose(nav.keyframes.T_world_cam[:, :3, 3], shape, rtol=1e-9)
 
 
 @needs_data

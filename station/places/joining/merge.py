@@ -9,7 +9,7 @@ import numpy as np
 from shared.errors import EstimationError
 from shared.geometry import FloatArray, carry_poses
 from station.model.best_camera import misfit_of, why_unsure_of
-from station.model.navigation import Keyframes, Navigation, Trajectory, join_maps
+from station.model.navigation import Keyframes, Navigation, Trajectory, join_depth, join_maps
 from station.places.joining.align import align_navigation
 from station.places.making.build import build_map
 from station.places.making.config import PlacesConfig
@@ -68,7 +68,8 @@ def append_navigation(first: Navigation, second: Navigation, T_first_second: Flo
         messages=(*first.report.messages, _joined_with(second)),
         unsure=first.report.unsure or why_unsure_of(second),  # the fit stays that of the camera it is kept with
     )
-    return Navigation(f"{first.id}+{second.id}", first.calibration, trajectory, keyframes, landmarks, report)
+    depth = join_depth(first.depth, second.depth, shift_ns)
+    return Navigation(f"{first.id}+{second.id}", first.calibration, trajectory, keyframes, landmarks, report, depth)
 
 
 def _joined_with(second: Navigation) -> str:

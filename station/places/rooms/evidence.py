@@ -13,6 +13,7 @@ from station.model.floor_plan import FREE, OCCUPIED, UNSEEN
 from station.model.navigation import Navigation
 from station.places.making.scale import units_per_metre
 from station.places.rooms.lengths import FLOOR_PERCENT, SKIRTING_M, WALL_M
+from station.places.space.observed import Observed
 from station.places.space.space import Cells, Space
 
 CELL_M = 0.5 * WALL_M
@@ -50,10 +51,11 @@ def gather_evidence(navigation: Navigation, R_ground_map: FloatArray) -> Ground:
     """Free space as `space` carves it, less the cells in which landmarks stand that nobody looked through."""
     unit = units_per_metre(navigation)
     space = Space.of(navigation, R_ground_map, CELL_M)
-    p = navigation.landmarks.p_world @ R_ground_map.T
+    seen = Observed.of(navigation)
+    p = seen.p_map @ R_ground_map.T
     is_standing = _stands(p, unit)
     standing = p[is_standing, :2]
-    observations = navigation.landmarks.num_observations[is_standing]
+    observations = seen.num_observations[is_standing]
     centres = (navigation.keyframes.T_world_cam[:, :3, 3] @ R_ground_map.T)[:, :2]
     body = (navigation.trajectory.T_world_body[:, :3, 3] @ R_ground_map.T)[:, :2]
     body = body if len(body) else centres

@@ -20,6 +20,7 @@ from station.places.making.scale import units_per_metre
 from station.places.rooms.evidence import above_floor
 from station.places.rooms.lengths import SKIRTING_M, WALL_M
 from station.places.space.carving import FARTHEST_M, MAX_CELLS
+from station.places.space.observed import Observed
 from station.places.space.sight import SECTORS
 from station.places.space.space import Cells
 
@@ -50,16 +51,17 @@ class Seen:
     @classmethod
     def of(cls, navigation: Navigation, R_ground_map: FloatArray) -> Seen:
         unit = units_per_metre(navigation)
-        p = navigation.landmarks.p_world @ R_ground_map.T / unit
-        eyes = navigation.keyframes.T_world_cam[:, :3, 3] @ R_ground_map.T / unit
+        seen = Observed.of(navigation)
+        p = seen.p_map @ R_ground_map.T / unit
+        eyes = seen.eye_map @ R_ground_map.T / unit
         path = (navigation.trajectory.T_world_body[:, :3, 3] @ R_ground_map.T / unit)[:, :2]
         path = path[np.isfinite(path).all(axis=1)]
         path = path if len(path) else eyes[np.isfinite(eyes).all(axis=1), :2]
         stands = np.isfinite(p).all(axis=1)
         if stands.any():
             stands &= above_floor(p[:, 2]) > SKIRTING_M
-        towards = _towards_observers(navigation, p, eyes)
-        return cls(p[stands, :2], towards[stands], _sights(navigation, p, eyes), path)
+        towards = _towards_observers(seen, p, eyes)
+        return cls(p[stands, :2], towards[stands], _sights(seen, p, eyes), path)
 
     def turned(self, yaw: float) -> Seen:
         """In other axes: rad."""
@@ -112,13 +114,12 @@ def _looked_at(crossed: FloatArray, sign: int) -> FloatArray:
     return np.asarray(np.max([np.roll(crossed, -sign * step, axis=0) for step in steps], axis=0))
 
 
-def _sights(navigation: Navigation, p: FloatArray, eyes: FloatArray) -> FloatArray:
+def _sights(seen: Observed, p: FloatArray, eyes: FloatArray) -> FloatArray:
     """(n, 4) from x, y to x, y: one for each sector of each keyframe, to its second farthest landmark.
 
     Of several the farthest may be false. Nearer ones add nothing but the same way again.
     """
-    landmarks = navigation.landmarks
-    keyframe, landmark = landmarks.observed_keyframe, landmarks.observed_landmark
+    keyframe, landmark = seen.eye, seen.point
     rows = np.flatnonzero(np.isfinite(p[landmark]).all(axis=1) & np.isfinite(eyes[keyframe]).all(axis=1))
     keyframe, landmark = keyframe[rows], landmark[rows]
     d = p[landmark, :2] - eyes[keyframe, :2]
@@ -134,14 +135,13 @@ def _sights(navigation: Navigation, p: FloatArray, eyes: FloatArray) -> FloatArr
     return np.column_stack([eye, eye + d[chosen] * share[:, None]])
 
 
-def _towards_observers(navigation: Navigation, p: FloatArray, eyes: FloatArray) -> FloatArray:
+def _towards_observers(seen: Observed, p: FloatArray, eyes: FloatArray) -> FloatArray:
     """(n, 2) the mean direction from each landmark to where it was seen from."""
-    landmarks = navigation.landmarks
-    d = eyes[landmarks.observed_keyframe, :2] - p[landmarks.observed_landmark, :2]
+    d = eyes[seen.eye, :2] - p[seen.point, :2]
     d /= np.maximum(np.hypot(d[:, 0], d[:, 1]), 1e-9)[:, None]
     finite = np.isfinite(d).all(axis=1)
     total = np.zeros((len(p), 2))
-    np.add.at(total, landmarks.observed_landmark[finite], d[finite])
+    np.add.at(total, seen.point[finite], d[finite])
     return total
 
 

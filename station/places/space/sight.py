@@ -1,4 +1,4 @@
-"""How far a keyframe saw in each direction over the ground: up to the landmarks that it observes there."""
+"""How far a keyframe or depth scan saw in each direction over the ground: up to what it observes there."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from shared.geometry import FloatArray, IntArray
 from station.model.navigation import Navigation
+from station.places.space.observed import Observed
 
 SECTORS = 120  # of 3 degrees
 GAP = 4  # sectors without landmarks that are bridged: a plain wall shows few
@@ -31,15 +32,14 @@ class Sight:
 
 
 def sights(navigation: Navigation, R_ground_map: FloatArray, farthest: float) -> Iterator[Sight]:
-    """One for each keyframe that observed landmarks; `farthest`: a landmark beyond counts as this far."""
-    landmarks, keyframes = navigation.landmarks, navigation.keyframes
-    by_keyframe = landmarks.observations_by_keyframe(len(keyframes))
-    for T, rows in zip(keyframes.T_world_cam, by_keyframe, strict=True):
-        d = ((landmarks.p_world[landmarks.observed_landmark[rows]] - T[:3, 3]) @ R_ground_map.T)[:, :2]
+    """One for each keyframe or depth scan that observed something; `farthest`: a point beyond counts as this far."""
+    seen = Observed.of(navigation)
+    for eye, rows in zip(seen.eye_map, seen.by_eye(), strict=True):
+        d = ((seen.p_map[seen.point[rows]] - eye) @ R_ground_map.T)[:, :2]
         d = d[np.isfinite(d).all(axis=1)]
         if len(d):
             reach = SHORT_OF * np.minimum(_bridged(_second_farthest(d)), farthest)
-            yield Sight((R_ground_map @ T[:3, 3])[:2], reach, farthest)
+            yield Sight((R_ground_map @ eye)[:2], reach, farthest)
 
 
 def _second_farthest(d: FloatArray) -> FloatArray:

@@ -17,6 +17,7 @@ from shared.geometry import FloatArray, IntArray, so3_log, upright
 from station.model.frames import ImuBatch
 from station.motion.inertial_track import InertialTrack, usable_intervals
 
+METRIC_SIGMA = 0.10  # a scale less certain than 10 % is not called metric
 MAX_INTERVAL_S = 3.0
 ACCEL_SLOP = 0.02  # m/s^2: vibration, bias walk, and gravity seen through 0.1 degree of attitude error
 # Keyframes closer than this are skipped: over short times the camera's noise, not motion, is compared with the IMU.
@@ -71,7 +72,7 @@ class ScaleEstimate:
 
     scale: float
     sigma_relative: float
-    source: str  # "imu" or "drive"
+    source: str  # "imu", "drive" or "depth"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,6 +14,7 @@ from station.model.navigation import Landmarks, Trajectory
 from station.motion.inertial_track import InertialTrack
 from station.slam.mapping.assemble import Reconstructed
 from station.slam.mapping.pose_alignment import (
+    METRIC_SIGMA,
     ScaleEstimate,
     align_to_imu,
     gravity_from_accelerometer,
@@ -23,7 +24,6 @@ from station.slam.mapping.pose_alignment import (
 from station.slam.sfm.metric import DRIVE_SYSTEMATIC, fuse_scales, scale_from_drive
 from station.slam.sfm.trajectory import all_frames
 
-METRIC_SIGMA = 0.10  # a scale less certain than 10 % is not called metric
 # An unknown scale is set so that the median landmark is this far from where it was first seen.
 ARBITRARY_MEDIAN_DEPTH = 2.0
 

@@ -22,7 +22,7 @@ from shared.errors import EstimationError
 from shared.geometry import FloatArray
 from station.datasets import Dataset, Truth, open_dataset
 from station.experiments.trajectory_error import interpolate_poses
-from station.model.frames import DriveSample, ImuBatch
+from station.model.frames import DepthFrame, DriveSample, ImuBatch
 from station.model.navigation import Trajectory
 from station.places.localisation.localizer import Localizer
 from station.places.making.build import build_map
@@ -115,6 +115,8 @@ def _drive(data: Dataset, part: Part, localizer: Localizer, T_world_map: FloatAr
     slam = RunningSlam(data.calibration, 1, live_backend(data, "auto")) if has_live_poses(data, "auto") else None
     events: list[Event] = []
     for item in data.events():
+        if isinstance(item, DepthFrame):
+            continue
         told = slam.told_after(item) if slam else []
         if isinstance(item, ImuBatch | DriveSample):
             events += [item, *told]

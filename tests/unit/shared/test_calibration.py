@@ -8,7 +8,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from shared.calibration import REFERENCE_CAMERA, REFERENCE_HEAD, REFERENCE_IMU, REFERENCE_ROBOT, Calibration, Rig
+from shared.calibration import (
+    REFERENCE_CAMERA,
+    REFERENCE_HEAD,
+    REFERENCE_IMU,
+    REFERENCE_ROBOT,
+    Calibration,
+    DepthCalibration,
+    Rig,
+)
 from shared.errors import ConfigError, DataError
 from shared.sensor_yaml import read_imu_noise, read_rig
 
@@ -37,6 +45,7 @@ def test_a_rig_nobody_heard_of_is_refused_by_its_name(tmp_path: Path) -> None:
 
 
 EYE = tuple(np.eye(4).ravel().tolist())
+ZONES = DepthCalibration(width=8, height=8, fx=9.66, fy=9.66, cx=3.5, cy=3.5)
 
 
 @pytest.mark.parametrize(
@@ -53,6 +62,12 @@ EYE = tuple(np.eye(4).ravel().tolist())
         (REFERENCE_CAMERA, {"T_body_cam": (1e300, *EYE[1:])}, "no rigid motion"),
         (REFERENCE_CAMERA, {"T_body_cam": (*EYE[:3], 1e300, *EYE[4:])}, "further than 10 m"),
         (REFERENCE_HEAD, {"pivot_body": (0.0, 100.0, 0.0)}, "further than 10 m"),
+        (ZONES, {"width": 4096}, "outside 1..2048"),
+        (ZONES, {"fx": 0.01}, "none that a depth sensor"),
+        (ZONES, {"fy": 1e6}, "none that a depth sensor"),
+        (ZONES, {"T_body_depth": (2.0, *EYE[1:])}, "T_body_depth is no rigid motion"),
+        (ZONES, {"T_body_depth": EYE[:12]}, "has 12 numbers"),
+        (ZONES, {"T_body_depth": (*EYE[:3], 11.0, *EYE[4:])}, "puts the depth sensor further"),
         (REFERENCE_IMU, {"gyro_density": 1e9}, "gyro_density is 1e"),
         (REFERENCE_IMU, {"accel_walk": -1.0}, "accel_walk is -1"),
         (REFERENCE_IMU, {"gyro_walk": 0.0}, "gyro_walk is 0, must be over 0"),
@@ -85,3 +100,10 @@ def test_unusual_cameras_are_cameras(changes: dict[str, object]) -> None:
 def test_noise_of_no_imu_is_refused_with_the_files_name(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"imu\.yaml: the IMU's gyro_density"):
         read_imu_noise(tmp_path / "imu.yaml", {"gyroscope_noise_density": 1e9})
+
+
+def test_a_depth_sensor_travels_with_the_calibration_and_is_left_out_where_there_is_none() -> None:
+    assert b"depth" not in msgspec.json.encode(REFERENCE_ROBOT)
+    told = msgspec.structs.replace(REFERENCE_ROBOT, depth=ZONES)
+    assert msgspec.json.decode(msgspec.json.encode(told), type=Calibration) == told
+    assert told.depth_sensor == ZONES and REFERENCE_ROBOT.depth_sensor is None

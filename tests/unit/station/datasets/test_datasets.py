@@ -8,9 +8,10 @@ import msgspec
 import numpy as np
 import pytest
 
+from shared.calibration import Calibration
 from shared.errors import DataError
 from station.datasets import open_dataset
-from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.frames import DepthFrame, DriveSample, ImageFrame, ImuBatch
 from tests.support.datasets import frames_of, imu_of
 
 CAMERA_YAML = """%YAML:1.0
@@ -292,3 +293,62 @@ def test_paths_that_are_no_dataset(tmp_path: Path, folder: Path) -> None:
     (folder / "camera-intrinsics.txt").unlink()
     with pytest.raises(DataError, match=r"camera\.yaml"):
         open_dataset(folder)
+
+
+def depth_picture(value: int, width: int = 32, height: int = 24) -> bytes:
+    return cv2.imencode(".png", np.full((height, width), value, np.uint16))[1].tobytes()
+
+
+@pytest.fixture
+def with_depth(tmp_path: Path) -> Path:
+    """Six images, every second one with depth."""
+    (tmp_path / "camera-intrinsics.txt").write_text("50 0 31.5\n0 51 23.5\n0 0 1\n")
+    (tmp_path / "depth-intrinsics.txt").write_text("30 0 15.5\n0 30 11.5\n0 0 1\n")
+    for i in range(6):
+        (tmp_path / f"frame-{i:06d}.color.jpg").write_bytes(picture(40 * i))
+        if i % 2 == 0:
+            (tmp_path / f"frame-{i:06d}.depth.png").write_bytes(depth_picture(1000 + i))
+    return tmp_path
+
+
+def test_depth_pictures_of_a_folder_come_before_the_image_of_their_number(with_depth: Path) -> None:
+    data = open_dataset(with_depth)
+    events = list(data.events())
+    assert [type(e) for e in events] == [DepthFrame, ImageFrame, ImageFrame] * 3
+    depth = [e for e in events if isinstance(e, DepthFrame)]
+    assert [e.t_robot_ns for e in depth] == data.frame_times_ns[::2].tolist()
+    assert [int(e.millimetres()[0, 0]) for e in depth] == [1000, 1002, 1004]
+    sensor = data.calibration.depth_sensor
+    assert sensor is not None and depth[0].sensor == sensor
+    assert (sensor.width, sensor.height, sensor.fx, sensor.cx, sensor.is_measured) == (32, 24, 30.0, 15.5, False)
+
+
+def test_depth_is_cut_to_the_frames_and_never_thinned(with_depth: Path) -> None:
+    data = open_dataset(with_depth, first=1, last=5, step=4)
+    assert data.read_depth is not None
+    assert len(data.frame_times_ns) == 2
+    assert [int(e.millimetres()[0, 0]) for e in data.read_depth()] == [1002, 1004]
+
+
+@pytest.mark.parametrize("gone", ["depth-intrinsics.txt", "*.depth.png"])
+def test_a_folder_without_depth_or_its_intrinsics_has_none(with_depth: Path, gone: str) -> None:
+    for path in with_depth.glob(gone):
+        path.unlink()
+    data = open_dataset(with_depth)
+    assert data.read_depth is None
+    assert data.calibration == Calibration(camera=data.calibration.camera, imu=None)
+    assert all(isinstance(e, ImageFrame) for e in data.events())
+
+
+def test_a_damaged_depth_picture_is_named(with_depth: Path) -> None:
+    (with_depth / "frame-000000.depth.png").write_bytes(b"no picture")
+    with pytest.raises(DataError, match=r"frame-000000\.depth\.png is not a readable"):
+        open_dataset(with_depth)
+    (with_depth / "frame-000000.depth.png").write_bytes(depth_picture(1)[:50])
+    depth = open_dataset(with_depth).read_depth
+    assert depth is not None
+    with pytest.raises(DataError, match=r"frame-000000\.depth\.png is no PNG of 16 bit"):
+        next(depth()).millimetres()
+    (with_depth / "depth-intrinsics.txt").write_text("0.1 0 15.5\n0 30 11.5\n0 0 1\n")
+    with pytest.raises(DataError, match=r"depth-intrinsics\.txt: focal length"):
+        open_dataset(with_depth)

@@ -11,10 +11,11 @@ import pytest
 
 from shared.calibration import REFERENCE_IMU, REFERENCE_ROBOT
 from shared.errors import DataError
-from station.files.navigation_folder import load_navigation, parse_tum, save_navigation
+from station.files.navigation_folder import DEPTH, encode_navigation, load_navigation, parse_tum, save_navigation
 from station.files.ply import read_ply, read_rows, write_ply
-from station.model.navigation import Landmarks, Navigation
+from station.model.navigation import DepthScans, Landmarks, Navigation
 from station.slam.run import content_digest
+from tests.support.depth import depth_camera
 from tests.support.navigations import small_navigation
 
 CONTRACT_KEYS = {"backend", "frames", "duration_s", "wall_s", "realtime_factor", "cpu_s", "landmarks"} | {
@@ -274,3 +275,46 @@ def test_cut_ply_says_how_much_is_left(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-24])
     with pytest.raises(DataError, match="9 of 10"):
         read_ply(path)
+
+
+def scanned() -> Navigation:
+    nav = small_navigation()
+    millimetres = np.arange(2 * 6 * 8, dtype=np.uint16).reshape(2, 6, 8)
+    return replace(nav, depth=DepthScans(nav.trajectory.t_robot_ns[:2], millimetres, depth_camera(8, 6)))
+
+
+def test_depth_survives_the_disk_and_is_no_file_where_there_is_none(tmp_path: Path) -> None:
+    assert DEPTH not in encode_navigation(small_navigation())
+    nav = scanned()
+    without = {name: content for name, content in encode_navigation(nav).items() if name != DEPTH}
+    assert without == encode_navigation(small_navigation())
+    save_navigation(nav, tmp_path / "nav")
+    read = load_navigation(tmp_path / "nav").depth
+    assert read is not None and nav.depth is not None
+    np.testing.assert_array_equal(read.t_robot_ns, nav.depth.t_robot_ns)
+    np.testing.assert_array_equal(read.millimetres, nav.depth.millimetres)
+    assert read.sensor == nav.depth.sensor
+    save_navigation(small_navigation(), tmp_path / "nav")
+    assert load_navigation(tmp_path / "nav").depth is None
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"millimetres": np.zeros((2, 6, 9), np.uint16)},
+        {"millimetres": np.zeros((3, 6, 8), np.uint16)},
+        {"millimetres": np.zeros((2, 6, 8))},
+        {"sensor": np.frombuffer(b"{}", np.uint8)},
+        {"sensor": np.frombuffer(b'{"width": 8, "height": 6, "fx": 0, "fy": 1, "cx": 0, "cy": 0}', np.uint8)},
+    ],
+)
+def test_damaged_depth_is_named(changes: dict[str, np.ndarray], tmp_path: Path) -> None:
+    save_navigation(scanned(), tmp_path / "nav")
+    with np.load(tmp_path / "nav" / DEPTH) as arrays:
+        content = dict(arrays) | changes
+    np.savez_compressed(tmp_path / "nav" / DEPTH, **content)
+    with pytest.raises(DataError, match=r"depth\.npz is damaged"):
+        load_navigation(tmp_path / "nav")
+    (tmp_path / "nav" / DEPTH).write_bytes(b"PK")
+    with pytest.raises(DataError, match=r"depth\.npz is damaged"):
+        load_navigation(tmp_path / "nav")

@@ -28,6 +28,7 @@ from station.maps.store import MapStore
 from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
 from station.places.making.build import carry_names
+from tests.support.depth import depth_camera, map_of, scanned, way
 from tests.support.store import content_hash, rename_place
 
 
@@ -56,6 +57,18 @@ def test_a_map_comes_back_as_it_was_saved(place_map: PlaceMap, address: StoreAdd
     np.testing.assert_array_equal(again.navigation.landmarks.p_world, place_map.navigation.landmarks.p_world)
     assert again.navigation.keyframes.encoded == place_map.navigation.keyframes.encoded
     assert holds(MapStore(address), place_map)
+
+
+def test_depth_comes_back_with_its_map(place_map: PlaceMap, address: StoreAddress) -> None:
+    T, sensor = way(10), depth_camera(32, 24)
+    depth = scanned(map_of(T), sensor, T).depth
+    assert depth is not None
+    MapStore(address).save(replace(place_map, navigation=replace(place_map.navigation, depth=depth)))
+    again = MapStore(address).load(place_map.id).navigation.depth
+    assert again is not None and again.sensor == depth.sensor
+    np.testing.assert_array_equal(again.millimetres, depth.millimetres)
+    MapStore(address).save(place_map)
+    assert MapStore(address).load(place_map.id).navigation.depth is None
 
 
 UNPRINTABLE = ["Sofa\x00", "\x1b[2Jcorner", "Sofa \u202eroom"]

@@ -7,6 +7,7 @@ from shared.errors import EstimationError
 from shared.geometry import inverse, se3, transform, yaw_rotation
 from station.places.joining.merge import append_navigation, merge_navigations
 from station.places.making.build import build_map
+from tests.support.depth import depth_camera, map_of, scanned, way
 from tests.support.synthetic_home import drive, furnished_room, navigate
 
 
@@ -44,3 +45,19 @@ def test_merged_drives_give_one_map_and_strangers_are_refused() -> None:
     other = furnished_room(77, density=300, size=(3.2, 6.0))
     with pytest.raises(EstimationError, match="could not be placed"):
         merge_navigations([first, navigate(other, drive(other, 5), seed=5, images=False)])
+
+
+def test_depth_of_both_drives_lies_where_it_was_measured() -> None:
+    T, sensor = way(), depth_camera()
+    metric = scanned(map_of(T), sensor, T)
+    both = append_navigation(metric, metric, np.eye(4))
+    assert both.depth is not None and metric.depth is not None
+    assert len(both.depth) == 2 * len(metric.depth)
+    assert set(both.depth.t_robot_ns.tolist()) <= set(both.trajectory.t_robot_ns.tolist())
+    np.testing.assert_array_equal(both.depth.points_body(len(metric.depth)), metric.depth.points_body(0))
+    other = scanned(map_of(T), depth_camera(80, 60), T)
+    both = append_navigation(metric, other, np.eye(4))
+    assert both.depth is not None and both.depth.sensor == metric.depth.sensor
+    assert len(both.depth) == len(metric.depth)
+    both = append_navigation(map_of(T), other, np.eye(4))
+    assert both.depth is not None and other.depth is not None and both.depth.sensor == other.depth.sensor

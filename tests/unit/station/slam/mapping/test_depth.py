@@ -1,0 +1,194 @@
+"""Depth gives metres to a map without, and its scans to every map."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from shared.calibration import DepthCalibration
+from shared.errors import DataError
+from station.model.frames import DepthFrame, DriveSample, ImageFrame, ImuBatch
+from station.model.navigation import Navigation
+from station.model.slam_update import SlamUpdate
+from station.slam.mapping.depth import MAX_SCANS, MAX_SIDE, DepthLog, scale_from_depth, step_of, with_depth
+from station.slam.run import content_digest, run_backend
+from tests.support.depth import STEP_NS, depth_camera, encoded, frames, map_of, way
+
+
+def log_of(pictures: list[DepthFrame]) -> DepthLog:
+    log = DepthLog()
+    for picture in pictures:
+        log.add(picture)
+    return log
+
+
+ZONES = DepthCalibration(
+    width=8, height=8, fx=4 / np.tan(np.pi / 8), fy=4 / np.tan(np.pi / 8), cx=3.5, cy=3.5,
+    T_body_depth=depth_camera().T_body_depth,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("unit_m", [0.2, 0.97, 40.0])
+@pytest.mark.parametrize("sensor", [depth_camera(), depth_camera(320, 240, aside_m=-0.1), ZONES])
+def test_a_map_by_images_gets_its_metres_from_depth(sensor: DepthCalibration, unit_m: float) -> None:
+    T = way()
+    made = with_depth(map_of(T, unit_m), log_of(frames(sensor, T)))
+    assert made.is_metric
+    found = made.report.config["depth"]
+    assert found["scans"] == 20
+    assert abs(np.log(found["scale"] / unit_m)) < min(0.02, 2 * found["sigma"])
+    np.testing.assert_allclose(made.trajectory.T_world_body[:, :3, 3], T[:, :3, 3], rtol=0.02)
+    np.testing.assert_allclose(made.landmarks.p_world, map_of(T).landmarks.p_world, rtol=0.02, atol=0.02)
+    turned = map_of(T).keyframes.T_world_cam[:, :3, :3]
+    np.testing.assert_allclose(made.keyframes.T_world_cam[:, :3, :3], turned, atol=1e-12)
+
+
+def test_the_scale_is_told_as_unsure_as_the_pictures_differ() -> None:
+    T, sensor = way(), depth_camera()
+    pictures = frames(sensor, T)
+    wrong = [
+        replace(f, encoded=encoded(np.round(f.millimetres() * factor).astype(np.uint16)))
+        for f, factor in zip(pictures, np.exp(np.random.default_rng(3).normal(0, 0.05, len(pictures))), strict=True)
+    ]
+    scans = log_of(wrong).scans()
+    assert scans is not None
+    found = scale_from_depth(map_of(T, 0.5), scans)
+    assert found is not None
+    assert 0.025 < found.sigma_relative < 0.1
+    assert abs(np.log(found.scale / 0.5)) < 2 * found.sigma_relative
+
+
+def test_half_of_the_pictures_at_fault_do_not_make_a_map_metric() -> None:
+    T, sensor = way(), depth_camera()
+    pictures = frames(sensor, T)
+    wrong = [
+        replace(f, encoded=encoded((f.millimetres() * (0.6 if k % 2 else 1.0)).astype(np.uint16)))
+        for k, f in enumerate(pictures)
+    ]
+    made = with_depth(map_of(T, 0.5), log_of(wrong))
+    assert not made.is_metric
+    assert "differ by" in made.report.messages[-1]
+
+
+def test_a_map_with_metres_keeps_them_and_says_what_depth_makes_of_them() -> None:
+    T, sensor = way(), depth_camera()
+    log = log_of(frames(sensor, T))
+    metric = map_of(T)
+    made = with_depth(metric, log)
+    assert content_digest(made) == content_digest(metric)
+    assert made.report.messages == ()
+    short = map_of(T, 0.9)
+    short = replace(short, report=replace(short.report, scale="metric"))
+    made = with_depth(short, log)
+    assert content_digest(made) == content_digest(short)
+    assert "by depth, lengths are 0.9" in made.report.messages[-1]
+
+
+def test_pieces_with_scales_of_their_own_stay_without_metres() -> None:
+    T, sensor = way(), depth_camera()
+    pieces = map_of(T, 0.5)
+    segment = (np.arange(len(pieces.keyframes)) > 20).astype(np.int64)
+    pieces = replace(pieces, keyframes=replace(pieces.keyframes, segment=segment))
+    made = with_depth(pieces, log_of(frames(sensor, T)))
+    assert not made.is_metric
+    assert content_digest(made) == content_digest(pieces)
+    assert made.depth is not None
+
+
+def test_where_depth_shows_no_landmark_there_are_no_metres() -> None:
+    T, sensor = way(), depth_camera()
+    nothing = [replace(f, encoded=encoded(np.full((120, 160), 65535, np.uint16))) for f in frames(sensor, T)]
+    made = with_depth(map_of(T, 0.5), log_of(nothing))
+    assert not made.is_metric
+    assert "too few landmarks" in made.report.messages[-1]
+
+
+class Made:
+    """A backend that has its map already."""
+
+    def __init__(self, navigation: Navigation) -> None:
+        self.navigation = navigation
+        self.order: list[object] = []
+
+    def add_imu(self, imu: ImuBatch) -> None:
+        self.order.append(imu)
+
+    def add_drive(self, drive: DriveSample) -> None:
+        self.order.append(drive)
+
+    def add_frame(self, frame: ImageFrame) -> SlamUpdate:
+        self.order.append(frame)
+        return SlamUpdate(frame.t_robot_ns, "tracking", "", None, 0, False)
+
+    def catch_up(self) -> bool:
+        return False
+
+    def keyframe_pictures(self) -> list[bytes]:
+        return []
+
+    def keyframe_features(self, number: int) -> None: ...
+
+    def finish(self) -> Navigation:
+        return self.navigation
+
+
+def test_no_backend_sees_depth_and_without_it_no_bit_is_another() -> None:
+    T, sensor = way(), depth_camera()
+    arbitrary = map_of(T, 0.5)
+    images: list[DriveSample | ImageFrame | DepthFrame] = [ImageFrame(k, k * STEP_NS, 0, b"") for k in range(40)]
+    mixed = sorted([*images, *frames(sensor, T)], key=lambda e: e.t_robot_ns)
+    without, beside = Made(arbitrary), Made(arbitrary)
+    plain, metric = run_backend(without, iter(images)), run_backend(beside, iter(mixed))
+    assert without.order == beside.order == images
+    assert with_depth(arbitrary, DepthLog()) is arbitrary
+    assert plain.depth is None and "depth" not in plain.report.config and not plain.is_metric
+    assert plain.id == f"{arbitrary.id}-{content_digest(arbitrary)}"
+    assert metric.is_metric and metric.depth is not None
+
+
+def test_a_log_is_bounded_and_spans_all_of_the_way() -> None:
+    sensor = depth_camera(8, 6)
+    picture = encoded(np.full((6, 8), 1000, np.uint16))
+    log = log_of([DepthFrame(k, picture, sensor) for k in range(3 * MAX_SCANS)])
+    scans = log.scans()
+    assert scans is not None
+    assert MAX_SCANS / 2 < len(scans) <= MAX_SCANS
+    assert scans.t_robot_ns[0] == 0 and scans.t_robot_ns[-1] > 3 * MAX_SCANS - 10
+    assert len(np.unique(np.diff(scans.t_robot_ns))) == 1
+
+
+def test_pictures_are_thinned_and_their_pixels_lie_where_they_lay() -> None:
+    sensor = depth_camera(640, 480)
+    millimetres = np.arange(640 * 480, dtype=np.uint32).reshape(480, 640).astype(np.uint16) // 8
+    scans = log_of([DepthFrame(0, encoded(millimetres), sensor)]).scans()
+    assert scans is not None
+    assert scans.millimetres.shape == (1, 48, 64) and max(scans.millimetres.shape[1:]) <= MAX_SIDE
+    step = step_of(sensor)
+    v, u = 17 * step + (step - 1) // 2, 40 * step + (step - 1) // 2
+    assert scans.millimetres[0, 17, 40] == millimetres[v, u]
+    assert (40 - scans.sensor.cx) / scans.sensor.fx == pytest.approx((u - sensor.cx) / sensor.fx)
+    assert (17 - scans.sensor.cy) / scans.sensor.fy == pytest.approx((v - sensor.cy) / sensor.fy)
+
+
+def test_times_that_do_not_go_on_and_other_sensors_are_refused() -> None:
+    sensor = depth_camera(8, 6)
+    picture = encoded(np.full((6, 8), 1000, np.uint16))
+    scans = log_of([DepthFrame(t, picture, sensor) for t in (5, 5, 3, 6)]).scans()
+    assert scans is not None and scans.t_robot_ns.tolist() == [5, 6]
+    log = log_of([DepthFrame(0, picture, sensor)])
+    with pytest.raises(DataError, match="another sensor"):
+        log.add(DepthFrame(1, picture, depth_camera(8, 6, aside_m=0.2)))
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (b"nonsense", "is not a readable"),
+        (encoded(np.zeros((6, 8), np.uint16))[:60], "no PNG of 16 bit"),
+        (encoded(np.zeros((6, 8), np.uint8)), "no PNG of 16 bit"),
+        (encoded(np.zeros((6, 9), np.uint16)), "is 9x6, the calibration is for 8x6"),
+    ],
+)
+def test_a_depth_picture_that_cannot_be_used_is_named(content: bytes, why: str) -> None:
+    with pytest.raises(DataError, match=rf"depth picture shelf\.png .*{why}"):
+        DepthFrame(0, content, depth_camera(8, 6), "shelf.png").millimetres()
