@@ -407,9 +407,9 @@ def _other_metre(felt: Factor | None) -> list[str]:
     if felt is None or not abs(felt.value - 1.0) > SURELY * felt.sigma:
         return []
     return [
-        f"By the accelerometer the robot went {felt.value:.2f} ± {felt.sigma:.2f} times as far as by the board: target.yaml"
-        " is of another board or its tagSize is wrong, or the focal length is another camera's; measure a tag of the"
-        " board and correct tagSize, or calibrate the camera."
+        f"By the accelerometer the robot went {felt.value:.2f} ± {felt.sigma:.2f} times as far as by the board:"
+        " target.yaml is of another board or its tagSize is wrong, or the focal length is another camera's; measure a"
+        " tag of the board and correct tagSize, or calibrate the camera."
     ]
 
 

@@ -1,4 +1,4 @@
-"""How far a robot went by its accelerometer: a metre that neither a board's file nor a camera's focal length touches."""
+"""How far a robot went by its accelerometer: a metre that neither board nor focal length touches."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def felt_way(imu: ImuBatch, rest: tuple[int, int], begin_ns: int, end_ns: int) -
     """
     still = slice(*np.searchsorted(imu.t_robot_ns, rest))
     part = slice(*np.searchsorted(imu.t_robot_ns, (begin_ns, end_ns)))
-    t_s = (imu.t_robot_ns[part] - begin_ns) * 1e-9
+    t_s = np.asarray((imu.t_robot_ns[part] - begin_ns) * 1e-9, dtype=np.float64)
     turned = _integrals(imu.gyro_imu[part] - imu.gyro_imu[still].mean(axis=0), t_s)
     up = imu.accel_imu[still].mean(axis=0)  # m/s^2: what holds the robot against gravity
     forward = (imu.accel_imu[part] + cross(turned, np.broadcast_to(up, turned.shape)))[:, 0]

@@ -42,7 +42,9 @@ def test_nothing_is_written_where_something_is_surely_wrong_and_too_vague_to_rep
 
 
 def test_a_person_is_told_small_units_and_scripts_are_told_si() -> None:
-    shift = Quantity("time shift", "time_shift_s", (" ms", 1e3), np.array([8.9e-5]), np.array([1.4e-4]), 3.3e-4, 1e-3, "")
+    shift = Quantity(
+        "time shift", "time_shift_s", (" ms", 1e3), np.array([8.9e-5]), np.array([1.4e-4]), 3.3e-4, 1e-3, ""
+    )
     assert shift.sentence == "the time shift fits: found 0.089 ms ± 0.14 ms from what was told"
     away, sigma = np.array([-0.0045]), np.array([0.01])
     focal = Quantity("focal length", "focal_length", (" %", 100.0), away, sigma, 0.015, 0.02, "")

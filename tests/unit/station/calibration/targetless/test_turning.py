@@ -43,5 +43,6 @@ def test_a_wall_is_told_from_a_room(depth_m: float, is_planar: bool) -> None:
     xy += 3e-4 * rng.standard_normal(xy.shape)
     corner, image = np.divmod(np.arange(80 * num_images), num_images)
     at = xy[image, corner]
-    seen = Sightings(0.1 * np.arange(num_images), image, corner, 500.0 * at, at)
+    t_s = np.linspace(0.0, 0.1 * (num_images - 1), num_images)
+    seen = Sightings(t_s, image, corner, 500.0 * at, at)
     assert (planar_share(seen, 500.0) > MAX_PLANAR) == is_planar
