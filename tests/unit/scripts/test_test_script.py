@@ -46,9 +46,10 @@ def test_every_test_is_in_one_of_four_processes(folder: Path) -> None:
     result = run(folder)
     assert result.returncode == 0, result.stderr
     assert [line for line in result.stdout.splitlines() if line.startswith("pytest")] == [
-        "pytest --durations=15 -m not hardware and not computing and not slow tests/integration tests/e2e",
-        "pytest --durations=15 -m not hardware and not computing and slow tests/integration tests/e2e"
-        " -p no:cacheprovider",
+        "pytest --durations=15 -m not hardware and not computing and not slow tests/integration",
+        "pytest --durations=15 -p no:cacheprovider -m not hardware and not computing and slow tests/integration"
+        " tests/e2e",
+        "pytest --durations=15 -p no:cacheprovider -m not hardware and not computing and not slow tests/e2e",
         "pytest --durations=15 -m not hardware and computing tests/golden tests/property tests/integration tests/e2e"
         " -p no:cacheprovider",
         "pytest --durations=15 -m not hardware and computing tests/unit -p no:cacheprovider",
@@ -58,11 +59,14 @@ def test_every_test_is_in_one_of_four_processes(folder: Path) -> None:
     assert not list(folder.glob("tmp.*"))
 
 
-@pytest.mark.parametrize("failing", ["and not slow", "computing and slow", "tests/golden", "tests/unit"])
+@pytest.mark.parametrize(
+    "failing",
+    ["not slow tests/integration", "computing and slow", "not slow tests/e2e", "tests/golden", "tests/unit"],
+)
 def test_a_failure_in_any_of_them_fails_the_whole_and_all_are_shown(folder: Path, failing: str) -> None:
     result = run(folder, failing=failing)
     assert result.returncode == 1
-    assert [line.split()[0] for line in result.stdout.splitlines()].count("pytest") == 4
+    assert [line.split()[0] for line in result.stdout.splitlines()].count("pytest") == 5
 
 
 LINT = ("ruff format", "ruff check", "bandit", "mypy", "lint-imports", "python station/web/build_hook.py --check")
