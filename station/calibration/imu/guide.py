@@ -7,10 +7,12 @@ import numpy as np
 from shared.geometry import FloatArray
 from station.calibration.guidance import Guidance
 from station.calibration.imu.calibrate import ADVISED_S, MIN_REST_S
-from station.calibration.imu.still import NOISIEST, QUIET_SHARE, RESTLESS
+from station.calibration.imu.still import NOISIEST, QUIET_SHARE, RESTLESS, WINDOW_S
 from station.model.frames import ImuBatch
 
 TIME = "time"
+# The estimate's windows begin elsewhere than the guide's: at either end of a rest it may see one less.
+ENOUGH_S = MIN_REST_S + 2 * WINDOW_S
 SETTLING = 10  # windows, from which on a restless one is told from quiet ones
 
 
@@ -43,10 +45,10 @@ class StillGuide:
         if self._rest_s >= ADVISED_S:
             return "enough: finish, or lay it on its other sides, ten seconds each, for the accelerometer"
         at_rest = f"leave it alone: {self._rest_s / 60:.0f} min {self._rest_s % 60:02.0f} s at rest"
-        if self._longest_s < MIN_REST_S:
+        if self._longest_s < ENOUGH_S:
             return f"{at_rest} of at least {MIN_REST_S / 60:.0f} min"
         return f"{at_rest}; white noise is known, {ADVISED_S / 60:.0f} min tell the random walk"
 
     def _guidance(self, instruction: str) -> Guidance:
         share = min(1.0, self._longest_s / ADVISED_S)
-        return Guidance(instruction, False, 0, (), {TIME: share}, self._longest_s >= MIN_REST_S, share >= 1.0)
+        return Guidance(instruction, False, 0, (), {TIME: share}, self._longest_s >= ENOUGH_S, share >= 1.0)
