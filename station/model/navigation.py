@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,9 @@ import numpy.typing as npt
 from shared.calibration import Calibration, CameraCalibration, DepthCalibration
 from shared.geometry import FloatArray, IntArray, transform
 from station.model.calibration_fit import CalibrationFit
-from station.model.frames import DepthArray
+
+if TYPE_CHECKING:  # it brings OpenCV, which commands that read reports alone do not wait for
+    from station.model.frames import DepthArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
