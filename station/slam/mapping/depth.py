@@ -35,24 +35,25 @@ class DepthLog:
         self._sensor: DepthCalibration | None = None
         self._times: list[int] = []
         self._pictures: list[DepthArray] = []
-        self._every = self._count = 1
+        self._every = self._waits = 1  # of so many pictures one is kept; until the next one
 
     def add(self, frame: DepthFrame) -> None:
         """In time order. Raises DataError when it cannot be decoded, or another sensor took it."""
         if self._sensor not in (None, frame.sensor):
             raise DataError(f"depth picture {frame.name or frame.t_robot_ns} is of another sensor than those before it")
         self._sensor = frame.sensor
-        self._count -= 1
-        if self._count or (self._times and frame.t_robot_ns <= self._times[-1]):
-            self._count = max(self._count, 1)
+        if self._times and frame.t_robot_ns <= self._times[-1]:
+            return
+        self._waits -= 1
+        if self._waits > 0:
             return
         step = step_of(frame.sensor)
         first = (step - 1) // 2
-        self._times.append(frame.t_robot_ns)
         self._pictures.append(frame.millimetres()[first::step, first::step].copy())
+        self._times.append(frame.t_robot_ns)
         if len(self._times) > MAX_SCANS:
             self._times, self._pictures, self._every = self._times[::2], self._pictures[::2], 2 * self._every
-        self._count = self._every
+        self._waits = self._every
 
     def scans(self) -> DepthScans | None:
         if self._sensor is None or not self._times:

@@ -192,3 +192,14 @@ def test_times_that_do_not_go_on_and_other_sensors_are_refused() -> None:
 def test_a_depth_picture_that_cannot_be_used_is_named(content: bytes, why: str) -> None:
     with pytest.raises(DataError, match=rf"depth picture shelf\.png .*{why}"):
         DepthFrame(0, content, depth_camera(8, 6), "shelf.png").millimetres()
+
+
+def test_a_damaged_picture_leaves_what_was_kept_in_order() -> None:
+    log, good = DepthLog(), frames(depth_camera(), way())
+    log.add(good[0])
+    with pytest.raises(DataError):
+        log.add(replace(good[1], encoded=b"no picture"))
+    log.add(good[2])
+    scans = log.scans()
+    assert scans is not None
+    assert scans.t_robot_ns.tolist() == [good[0].t_robot_ns, good[2].t_robot_ns] and len(scans.millimetres) == 2
