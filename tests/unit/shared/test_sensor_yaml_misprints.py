@@ -62,7 +62,9 @@ def test_an_imus_keys_and_a_camchains_are_asked_as_well(tmp_path: Path) -> None:
     chain = camchain_yaml(REFERENCE_ROBOT.camera)
     with pytest.raises(DataError, match="write timeshift_cam_imu"):
         read_camera_file(written(tmp_path, chain.replace("timeshift_cam_imu", "timeshift_cam_imus")))
-    assert read_camera_file(written(tmp_path, chain)) is not None
+    read = read_camera_file(written(tmp_path, chain))
+    assert read is not None and read.time_shift_s == REFERENCE_ROBOT.camera.time_shift_s
+    assert (read.fx, read.distortion) == (REFERENCE_ROBOT.camera.fx, REFERENCE_ROBOT.camera.distortion)
 
 
 def test_no_file_a_folder_and_an_empty_file_are_sentences(tmp_path: Path) -> None:
