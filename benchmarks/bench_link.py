@@ -25,7 +25,7 @@ import psutil
 import typer
 
 from benchmarks.result import FOLDER, RESULTS_HELP, Figure, Run
-from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
+from shared.messages import CameraFrame, Depth, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.robots.link import RobotLink
 from station.robots.link_state import LinkState
 from tests.support.paths import ROOT
@@ -83,6 +83,8 @@ class Listener:
     def on_imu(self, batch: ImuBatch) -> None: ...
 
     def on_gap(self, num_samples: int) -> None: ...
+
+    def on_depth(self, depth: Depth) -> None: ...
 
     def on_drive_applied(self, applied: DriveApplied) -> None:
         self.applied.append((time.monotonic_ns(), applied.linear))

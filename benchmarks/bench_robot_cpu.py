@@ -28,7 +28,7 @@ import psutil
 
 from benchmarks.result import Figure, Run, add_results_option
 from shared import serial_protocol as sp
-from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
+from shared.messages import CameraFrame, Depth, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.robots.link import RobotLink
 from tests.support.paths import ROOT
 from tests.support.robot_cpu import starved
@@ -97,6 +97,8 @@ class Counter:
         self.samples += len(batch.samples)
 
     def on_gap(self, _num_samples: int) -> None: ...
+
+    def on_depth(self, _depth: Depth) -> None: ...
 
     def on_drive_applied(self, _applied: DriveApplied) -> None: ...
 

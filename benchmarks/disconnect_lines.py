@@ -17,7 +17,7 @@ from typing import Protocol
 import websockets
 
 from shared.access import Role
-from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
+from shared.messages import CameraFrame, Depth, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.access.paired_robots import PairedRobots
 from station.robots.link import RobotLink
 from tests.support.access import GuardedBench, set_up
@@ -216,6 +216,8 @@ class Counts:
     def on_disconnected(self, reason: str) -> None: ...
 
     def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None: ...
+
+    def on_depth(self, depth: Depth) -> None: ...
 
     def on_drive_applied(self, applied: DriveApplied) -> None: ...
 

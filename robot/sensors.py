@@ -6,12 +6,14 @@ import asyncio
 import logging
 from collections.abc import Awaitable, Callable
 
-from robot.devices.ports import Camera, EndOfRecording, Imu
+from robot.depth import DepthSlot
+from robot.devices.ports import Camera, DepthSensor, EndOfRecording, Imu
 from robot.outbox import ImuBacklog
 from robot.video import FrameSlot
 from shared.calibration import MAX_IMAGE_SIDE_PX
 from shared.errors import HardwareError
 from shared.framing import MAX_ROBOT_PAYLOAD
+from shared.messages import MAX_DEPTH_BYTES
 
 logger = logging.getLogger(__name__)
 
@@ -65,6 +67,21 @@ async def pump_camera(
         faults.clear("camera")
 
     await _repeat("camera", take_one, faults)
+
+
+async def pump_depth(sensor: DepthSensor, slot: DepthSlot, faults: Faults, wake: Callable[[], None]) -> None:
+    """Put every depth picture into the slot until the recording ends."""
+
+    async def take_one() -> None:
+        depth = await sensor.measure()
+        if len(depth.png) > MAX_DEPTH_BYTES:
+            faults.set("depth", f"a depth picture of {len(depth.png)} bytes is too large to send; take smaller ones")
+            return
+        slot.put(depth)
+        wake()
+        faults.clear("depth")
+
+    await _repeat("depth", take_one, faults)
 
 
 async def pump_imu(

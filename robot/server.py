@@ -17,6 +17,7 @@ from robot.access import UNKNOWN_STATION, Gate, check_roles, may
 from robot.commands import About, CommandDesk, notice
 from robot.config import RobotConfig
 from robot.datagram_port import DatagramPort
+from robot.depth import DepthSlot, DepthStream
 from robot.devices.ports import DeviceSet
 from robot.doorstep import Doorstep
 from robot.head import STEP_S, CameraHead
@@ -26,7 +27,7 @@ from robot.outbox import ImuBacklog, ImuCursor
 from robot.own_calibration import OwnCalibration
 from robot.recalibration import Recalibration
 from robot.recompress import Recompressor
-from robot.sensors import Faults, pump_camera, pump_imu
+from robot.sensors import Faults, pump_camera, pump_depth, pump_imu
 from robot.station_client import StationClient
 from robot.systemd import Systemd
 from robot.video import FrameSlot, VideoStream
@@ -101,6 +102,7 @@ class RobotServer:
         self.faults = Faults(self._broadcast_fault)
         self._recompressor = Recompressor(self._wake_all, now_ns)
         self._frames = FrameSlot(self._recompressor.begin)
+        self._depth = DepthSlot()
         self._backlog = ImuBacklog(config.server.imu_backlog_samples)
         self._clients: dict[int, StationClient] = {}
         self._datagrams = DatagramPort(now_ns, self._handle_datagram)
@@ -271,6 +273,8 @@ class RobotServer:
         client.put(self._drive_report(self._applied()))
         client.put(self._status_for(client))
         client.video = VideoStream(self._frames, client.meter, is_on_this_machine=client.is_on_this_machine)
+        if self._devices.depth is not None and join.knows_depth:
+            client.depth = DepthStream(self._depth, client.meter, is_on_this_machine=client.is_on_this_machine)
         client.imu = self._imu_cursor(join)
         self._may_start.set()
         logger.info("%s joined as connection %d", join.station_name, client.id)
@@ -318,6 +322,8 @@ class RobotServer:
             if self._devices.imu is not None:
                 interval_s = self._config.server.imu_batch_interval_ms * 1e-3
                 tasks.create_task(pump_imu(self._devices.imu, self._backlog, self.faults, self._wake_all, interval_s))
+            if self._devices.depth is not None:
+                tasks.create_task(pump_depth(self._devices.depth, self._depth, self.faults, self._wake_all))
         if self._devices.camera is not None or self._devices.imu is not None:
             await self._wait_until_sent()
             self.faults.set("recording", "the recording has ended; restart robot-server to play it again")

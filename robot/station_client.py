@@ -11,6 +11,7 @@ import msgspec
 
 from robot.commands import notice
 from robot.datagram_sender import Address, DatagramSender
+from robot.depth import DepthStream
 from robot.link_meter import LinkMeter
 from robot.outbox import ImuCursor
 from robot.video import VideoStream
@@ -71,6 +72,7 @@ class StationClient:
         self.imu: ImuCursor | None = None
         self.meter = LinkMeter()
         self.video: VideoStream | None = None
+        self.depth: DepthStream | None = None
         self.datagrams: DatagramSender | None = None
         self.messages_dropped = 0
         self.read_ns = now_ns()  # when the bytes now being taken in were read
@@ -95,7 +97,7 @@ class StationClient:
     @property
     def has_all(self) -> bool:
         """Whether all sensor data have been sent to it."""
-        return (self.imu is None or self.imu.is_at_end) and (self.video is None or self.video.is_at_end)
+        return all(stream is None or stream.is_at_end for stream in (self.imu, self.video, self.depth))
 
     def confirm(self, received: Received) -> None:
         """The station has taken something in: there is room for more on the way."""
@@ -219,7 +221,7 @@ class StationClient:
                 await self._writer.drain()
 
     def _next_message(self) -> Message | None:
-        """The most urgent message that is due: answers and reports, then all IMU samples, then the newest frame."""
+        """The most urgent message that is due: answers, reports, all IMU samples, depth in its turn, newest frame."""
         if self.session.state is State.CLOSED:
             return None
         if self._queue:
@@ -229,6 +231,8 @@ class StationClient:
             return message
         if self.imu is not None and (batch := self.imu.next_batch()) is not None:
             return batch
+        if self.depth is not None and (depth := self.depth.next_depth(self._now_ns())) is not None:
+            return depth
         if self.video is None or (self.datagrams is not None and self.datagrams.is_used):
             return None
         return self.video.next_frame(self._now_ns())

@@ -35,6 +35,7 @@ IMAGE_TOPIC = "/camera/image"
 FRAME_TOPIC = "/camera/frame"
 IMU_TOPIC = "/imu"
 DRIVE_TOPIC = "/drive/applied"
+DEPTH_TOPIC = "/depth/image"
 
 NANO = 1_000_000_000
 # What damaged bytes raise; lz4 a RuntimeError.
@@ -54,11 +55,15 @@ class McapContent:
         self.frames: list[tuple[int, int]] = []  # (t_robot_ns, exposure_ns), as many as there are images
         self.samples: list[tuple[int, list[float]]] = []
         self.drive: list[tuple[int, float, float, float, float]] = []  # t_robot_ns, m/s, rad/s, pan, tilt; changes only
+        self.depth_times: list[int] = []  # t_robot_ns, increasing
         self.unusable_samples = 0
         self._pending: tuple[int, int] | None = None  # a frame's record, whose image must follow
-        for topic, data in _messages(path, {HELLO_TOPIC, FRAME_TOPIC, IMAGE_TOPIC, IMU_TOPIC, DRIVE_TOPIC}):
+        topics = {HELLO_TOPIC, FRAME_TOPIC, IMAGE_TOPIC, IMU_TOPIC, DRIVE_TOPIC, DEPTH_TOPIC}
+        for topic, data, t_ns in _messages(path, topics):
             try:
-                if not self._add(topic, data, path):
+                if topic == DEPTH_TOPIC:
+                    self.depth_times.append(_bounded(t_ns, MAX_TIME_NS))
+                elif not self._add(topic, data, path):
                     return
             except (KeyError, TypeError, ValueError, OverflowError) as exc:
                 raise DataError(f"{path}: a message on {topic} is not one of ours ({exc!r}); record again") from exc
@@ -116,7 +121,13 @@ class McapContent:
 
 def mcap_images(path: Path) -> Iterator[bytes]:
     """The JPEG images of a recording, in order."""
-    for _, data in _messages(path, {IMAGE_TOPIC}):
+    for _, data, _ in _messages(path, {IMAGE_TOPIC}):
+        yield decode_image(data)
+
+
+def mcap_depth(path: Path) -> Iterator[bytes]:
+    """The depth pictures of a recording, PNG files, in order."""
+    for _, data, _ in _messages(path, {DEPTH_TOPIC}):
         yield decode_image(data)
 
 
@@ -135,7 +146,7 @@ def recorded_pictures(path: Path) -> Iterator[RecordedPicture]:
     pending: int | None = None
     first_ns: int | None = None
     number = 0
-    for topic, data in _messages(path, {FRAME_TOPIC, IMAGE_TOPIC}):
+    for topic, data, _ in _messages(path, {FRAME_TOPIC, IMAGE_TOPIC}):
         if topic == FRAME_TOPIC:
             pending = _time(_json(data, path))
         elif pending is not None:
@@ -144,8 +155,8 @@ def recorded_pictures(path: Path) -> Iterator[RecordedPicture]:
             number, pending = number + 1, None
 
 
-def _messages(path: Path, topics: set[str]) -> Iterator[tuple[str, bytes]]:
-    """(topic, data) in the order written. Damage ends the iteration with a warning; what came before counts."""
+def _messages(path: Path, topics: set[str]) -> Iterator[tuple[str, bytes, int]]:
+    """(topic, data, sensor time) in the order written. Damage ends it with a warning; what came before counts."""
     try:
         file = open_file(path)
     except OSError as exc:
@@ -171,7 +182,7 @@ def _messages(path: Path, topics: set[str]) -> Iterator[tuple[str, bytes]]:
                     elif topic == IMAGE_TOPIC and frame != record.publish_time:
                         continue  # its frame's record was lost in a hole: nobody knows when it was seen
                     if topic in topics:
-                        yield topic, record.data
+                        yield topic, record.data, record.publish_time
         except DAMAGE as exc:
             why = exc if isinstance(exc, Refused) else type(exc).__name__
             logger.warning("%s ends early (%s): read up to its last whole chunk", path, why)
@@ -198,7 +209,7 @@ def _bounded(value: Any, limit: int) -> int:
 
 
 def decode_image(message: bytes) -> bytes:
-    """The JPEG of an encoded foxglove.CompressedImage. Raises DataError when there is none."""
+    """The picture of an encoded foxglove.CompressedImage. Raises DataError when there is none."""
     position = 0
     while position < len(message):
         key, position = _read_varint(message, position)

@@ -21,6 +21,7 @@ MAX_SENTENCE_LENGTH = 1000
 MAX_IMU_SAMPLES_PER_BATCH = 256
 MAX_FRAMES_IN_FLIGHT = 8  # and no more bytes than the link holds, beside one picture (robot/video.py)
 MAX_REPORTED_PICTURES = 8
+MAX_DEPTH_BYTES = 2**20  # a depth camera's picture of 640x480 has 100 to 300 kB
 MAX_IMU_IN_FLIGHT = 1024  # samples: 4.5 s at 225 Hz
 MAX_LIST_LENGTH = 32
 MAX_LINEAR_M_S = 3.0  # a robot in a home is slower; its own limits travel in the hello
@@ -139,6 +140,7 @@ class Join(_Message, frozen=True, kw_only=True, omit_defaults=True, tag="join"):
     resume_session_id: Annotated[str, Meta(max_length=MAX_NAME_LENGTH, pattern=PRINTABLE)] = ""
     next_imu_sequence: NextSequence = -1  # the first sample not yet received; -1: from now on
     knows_calibration_changed: bool = False  # False: an older station, whose connection that message would end
+    knows_depth: bool = False  # likewise
 
 
 class Welcome(_Message, frozen=True, kw_only=True, tag="welcome"):
@@ -241,6 +243,17 @@ class CameraFrame(_Message, frozen=True, kw_only=True, omit_defaults=True, tag="
     def __str__(self) -> str:
         size = f"{self.width}x{self.height}, {len(self.jpeg)} bytes"
         return f"CameraFrame(seq={self.seq}, t_robot_ns={self.t_robot_ns}, {size})"
+
+
+class Depth(_Message, frozen=True, kw_only=True, tag="depth"):
+    """What the depth sensor of the calibration measured. Newest wins; sent a few times a second at most."""
+
+    seq: Count  # counts every picture the sensor made
+    t_robot_ns: Time  # the IMU's clock
+    png: Annotated[bytes, Meta(max_length=MAX_DEPTH_BYTES)]  # 16 bit grey, mm along the axis; 0 or 65535: nothing
+
+    def __str__(self) -> str:
+        return f"Depth(seq={self.seq}, t_robot_ns={self.t_robot_ns}, {len(self.png)} bytes)"
 
 
 class ImuSample(msgspec.Struct, frozen=True, array_like=True, gc=False):
@@ -411,6 +424,7 @@ RobotMessage = (
     | HeartbeatReply
     | CameraFrame
     | Datagrams
+    | Depth
     | ImuBatch
     | DriveApplied
     | CalibrationChanged

@@ -25,6 +25,14 @@ class CapturedFrame:
 
 
 @dataclass(frozen=True, slots=True)
+class CapturedDepth:
+    """What a depth sensor measured at one time, as `DepthCalibration` of the robot's calibration describes it."""
+
+    t_robot_ns: int
+    png: bytes  # 16 bit grey: mm along the sensor's axis, 0 or 65535 where nothing was measured
+
+
+@dataclass(frozen=True, slots=True)
 class ImuReading:
     """One inertial sample, stamped when the sensor said it was ready."""
 
@@ -59,6 +67,16 @@ class Imu(Protocol):
 
     async def read(self) -> list[ImuReading]:
         """Wait for at least one sample and return all that came since the last call (at most a second's worth)."""
+        ...
+
+    async def close(self) -> None: ...
+
+
+class DepthSensor(Protocol):
+    """Source of depth pictures, or of the few zones of a time-of-flight sensor, in time order."""
+
+    async def measure(self) -> CapturedDepth:
+        """Wait for the next one. Raises DeviceLost when the sensor stops, EndOfRecording at a recording's end."""
         ...
 
     async def close(self) -> None: ...
@@ -112,6 +130,7 @@ class DeviceSet:
     camera: Camera | None
     imu: Imu | None
     motors: Motors | None
+    depth: DepthSensor | None = None
     pan_tilt: PanTilt | None = None
     battery: Battery | None = None
     hijack: Hijackable | None = None
@@ -123,6 +142,6 @@ class DeviceSet:
         for moving in (self.motors, self.pan_tilt):
             if moving is not None:
                 moving.close()
-        for sensor in (self.imu, self.camera):
+        for sensor in (self.imu, self.camera, self.depth):
             if sensor is not None:
                 await sensor.close()

@@ -39,6 +39,15 @@ class ImuImperfections(Section, frozen=True, kw_only=True):
     accel_vibration_m_s2: float = 0.3
 
 
+class DepthSensorModel(Section, frozen=True, kw_only=True):
+    """A depth sensor beside the camera, that sees what the camera sees. By default the robot has none."""
+
+    rate_hz: Annotated[float, Meta(ge=0, le=30)] = 0.0  # 0: it has none
+    columns: Annotated[int, Meta(ge=2, le=640)] = 64  # across the camera's picture; 8: the zones of a VL53L5CX
+    noise: Annotated[float, Meta(ge=0, lt=1)] = 0.01  # standard deviation, as a share of the distance
+    max_m: Annotated[float, Meta(gt=0, le=60)] = 4.0  # beyond, nothing is measured
+
+
 class BodyParameters(Section, frozen=True, kw_only=True):
     radius_m: float = 0.21  # around the IMU; the camera's front is inside
     imu_height_m: float = 0.25
@@ -100,6 +109,7 @@ class SimulationConfig(Section, frozen=True, kw_only=True):
 
     camera: CameraImperfections = CameraImperfections()
     imu: ImuImperfections = ImuImperfections()
+    depth: DepthSensorModel = DepthSensorModel()
     body: BodyParameters = BodyParameters()
     servos: ServoImperfections = ServoImperfections()
     build: BuildErrors = BuildErrors()

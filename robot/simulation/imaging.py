@@ -26,6 +26,7 @@ class Exposure:
     jpeg: bytes
     image: ImageArray  # (H, W, 3) BGR before JPEG
     exposure_s: float
+    inverse_depth: Float32Array  # (H, W) 1/m of what is seen; valid until the next one
 
 
 class SimulatedCamera:
@@ -87,7 +88,7 @@ class SimulatedCamera:
         self._adapt(image)
         ok, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, i.jpeg_quality])
         assert ok
-        return Exposure(encoded.tobytes(), image, exposure_s)
+        return Exposure(encoded.tobytes(), image, exposure_s, rendering.inverse_depth)
 
     def _blur(self, image: ImageArray, rendering: Rendering, T_before: FloatArray, T_after: FloatArray) -> ImageArray:
         """Smear along the flow during the exposure: one kernel where it is even, a few shifted copies where not."""

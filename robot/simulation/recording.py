@@ -15,6 +15,7 @@ from robot.simulation.asl import START_NS, AslWriter
 from robot.simulation.body import TICK_RATE_HZ, Body
 from robot.simulation.config import SimulationConfig
 from robot.simulation.construction import built_camera
+from robot.simulation.depth import depth_calibration
 from robot.simulation.driver import LookAround, RouteDriver
 from robot.simulation.imaging import SimulatedCamera
 from robot.simulation.renderer import Renderer
@@ -46,7 +47,8 @@ def simulated_calibration(config: SimulationConfig, calibration: Calibration = R
     assert camera is not None
     line_delay = camera.line_delay_s if config.camera.rolling_shutter else 0.0
     camera = msgspec.structs.replace(camera, rate_hz=config.camera_rate_hz, line_delay_s=line_delay)
-    return msgspec.structs.replace(calibration, camera=camera)
+    depth = depth_calibration(camera, config.depth) if config.depth.rate_hz > 0 else msgspec.UNSET
+    return msgspec.structs.replace(calibration, camera=camera, depth=depth)
 
 
 def record_drive(

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from shared.errors import DataError
-from shared.mcap_recording import HELLO_TOPIC, McapContent, mcap_images
+from shared.mcap_recording import HELLO_TOPIC, McapContent, mcap_depth, mcap_images
 from station.datasets.dataset import Dataset, choose_frames, cut_to_frames
-from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from station.model.frames import DepthFrame, DriveSample, ImageFrame, ImuBatch
 
 logger = logging.getLogger(__name__)
 
@@ -47,6 +47,16 @@ def open_mcap(path: Path, first: int | None, last: int | None, step: int) -> Dat
                 if position < 0:
                     return
 
+    sensor, depth_times = hello.calibration.depth_sensor, content.depth_times
+
+    def read_depth() -> Iterator[DepthFrame]:
+        if sensor is None:
+            return
+        whole = first is None and last is None
+        for count, (t_ns, png) in enumerate(zip(depth_times, mcap_depth(path), strict=False)):
+            if whole or not chosen or frame_times[chosen[0]] <= t_ns <= frame_times[chosen[-1]]:
+                yield DepthFrame(t_ns, png, sensor, f"{path.name} depth {count}")
+
     return Dataset(
         path=path,
         kind="mcap",
@@ -56,6 +66,7 @@ def open_mcap(path: Path, first: int | None, last: int | None, step: int) -> Dat
         read_frames=read_frames if chosen else None,
         imu=imu,
         drive=drive,
+        read_depth=read_depth if depth_times and sensor is not None else None,
     )
 
 

@@ -20,9 +20,9 @@ CALIBRATION_SCHEMA_NAME = "foxglove.CameraCalibration"
 NANO = 1_000_000_000
 
 
-def encode_image(t_robot_ns: int, jpeg: bytes) -> bytes:
+def encode_image(t_robot_ns: int, encoded: bytes, frame_id: str = "camera", kind: str = "jpeg") -> bytes:
     """A foxglove.CompressedImage in protobuf."""
-    message = CompressedImage(frame_id="camera", format="jpeg", data=jpeg)
+    message = CompressedImage(frame_id=frame_id, format=kind, data=encoded)
     message.timestamp.seconds, message.timestamp.nanos = divmod(t_robot_ns, NANO)
     return message.SerializeToString()
 

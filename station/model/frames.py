@@ -69,17 +69,17 @@ class DepthFrame:
         """(H, W). Raises DataError when it cannot be decoded, or is no picture of this sensor."""
         what = f"depth picture {self.name or self.t_robot_ns}"
         try:
-            picture_size(self.encoded)
+            size = picture_size(self.encoded)
         except ValueError as exc:
             raise DataError(f"{what} {exc}; remove it or copy it again") from exc
+        if size != (self.sensor.width, self.sensor.height):  # before it takes memory
+            raise DataError(
+                f"{what} is {size[0]}x{size[1]}, the calibration is for {self.sensor.width}x{self.sensor.height}; "
+                "give the calibration of these pictures"
+            )
         image = cv2.imdecode(np.frombuffer(self.encoded, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
         if image is None or image.dtype != np.uint16 or image.ndim != 2:
             raise DataError(f"{what} is no PNG of 16 bit grey; remove it or copy it again")
-        if image.shape != (self.sensor.height, self.sensor.width):
-            raise DataError(
-                f"{what} is {image.shape[1]}x{image.shape[0]}, the calibration is for {self.sensor.width}x"
-                f"{self.sensor.height}; give the calibration of these pictures"
-            )
         return np.where(image == NO_DEPTH[1], 0, image).astype(np.uint16)
 
 

@@ -22,8 +22,8 @@ from mcap.writer import CompressionType, Writer
 
 from shared.disk import flush, make_folder
 from shared.errors import DataError
-from shared.mcap_recording import DRIVE_TOPIC, FRAME_TOPIC, HELLO_TOPIC, IMAGE_TOPIC, IMU_TOPIC
-from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
+from shared.mcap_recording import DEPTH_TOPIC, DRIVE_TOPIC, FRAME_TOPIC, HELLO_TOPIC, IMAGE_TOPIC, IMU_TOPIC
+from shared.messages import CameraFrame, Depth, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.events import LogLine
 from station.files.foxglove import camera_calibration, encode_image, time_of
 from station.model.place_answer import PlaceReport
@@ -190,6 +190,10 @@ class Recorder:
 
     def on_gap(self, num_samples: int) -> None:
         self._put(GAP_TOPIC, None, {"num_samples": num_samples})
+
+    def on_depth(self, depth: Depth) -> None:
+        image = encode_image(depth.t_robot_ns, depth.png, frame_id="depth", kind="png")
+        self._put(DEPTH_TOPIC, depth.t_robot_ns, image)
 
     def on_drive_applied(self, applied: DriveApplied) -> None:
         content = {

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 from mcap.writer import Writer
 
-from shared.mcap_recording import DRIVE_TOPIC, FRAME_TOPIC, HELLO_TOPIC, IMAGE_TOPIC, IMU_TOPIC
+from shared.mcap_recording import DEPTH_TOPIC, DRIVE_TOPIC, FRAME_TOPIC, HELLO_TOPIC, IMAGE_TOPIC, IMU_TOPIC
 from station.events import Level, LogLine
 from station.files.foxglove import CALIBRATION_SCHEMA_NAME, IMAGE_SCHEMA_NAME, image_schema, pose_of, time_of
 from station.model.place_answer import PlaceCandidate, PlaceReport, RoomCandidate
@@ -98,11 +98,12 @@ JSON_CHANNELS: dict[str, tuple[str, dict[str, Any]]] = {
 
 def register_channels(writer: Writer) -> dict[str, int]:
     """Name the channels to a new file, the same numbers each time. Returns topic → number."""
-    schema = writer.register_schema(IMAGE_SCHEMA_NAME, "protobuf", image_schema())
-    channels = {IMAGE_TOPIC: writer.register_channel(IMAGE_TOPIC, "protobuf", schema)}
+    image = writer.register_schema(IMAGE_SCHEMA_NAME, "protobuf", image_schema())
+    channels = {IMAGE_TOPIC: writer.register_channel(IMAGE_TOPIC, "protobuf", image)}
     for topic, (name, json_schema) in JSON_CHANNELS.items():
         schema = writer.register_schema(name, "jsonschema", msgspec.json.encode(json_schema))
         channels[topic] = writer.register_channel(topic, "json", schema)
+    channels[DEPTH_TOPIC] = writer.register_channel(DEPTH_TOPIC, "protobuf", image)
     return channels
 
 

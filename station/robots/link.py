@@ -18,6 +18,7 @@ from shared.messages import (
     CalibrationChanged,
     CameraFrame,
     Datagrams,
+    Depth,
     Drive,
     DriveApplied,
     ErrorNotice,
@@ -315,6 +316,8 @@ class RobotLink:
             case DriveApplied():
                 self._clock.add_stamp(message.t_robot_ns, now_ns)
                 self._listener.on_drive_applied(message)
+            case Depth():
+                self._listener.on_depth(message)
             case HeartbeatReply():
                 self._hearing.note_answer(now_ns)
                 self._clock.add_reply(message, now_ns)
@@ -405,6 +408,7 @@ class RobotLink:
                 resume_session_id=hello.session_id if is_same_run else "",
                 next_imu_sequence=self._arrived.next_imu_sequence,
                 knows_calibration_changed=True,
+                knows_depth=True,
             )
         )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from shared.messages import CameraFrame, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
+from shared.messages import CameraFrame, Depth, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
 from station.model.frames import DriveSample
 
 
@@ -34,6 +34,8 @@ class LinkListener(Protocol):
         """IMU samples are missing between the last batch and the next one."""
         ...
 
+    def on_depth(self, depth: Depth) -> None: ...
+
     def on_drive_applied(self, applied: DriveApplied) -> None: ...
 
     def on_status(self, status: Status) -> None: ...
@@ -57,6 +59,8 @@ class IgnoringListener:
     def on_imu(self, batch: ImuBatch) -> None: ...
 
     def on_gap(self, num_samples: int) -> None: ...
+
+    def on_depth(self, depth: Depth) -> None: ...
 
     def on_drive_applied(self, applied: DriveApplied) -> None: ...
 
@@ -94,6 +98,10 @@ class LinkListeners:
     def on_gap(self, num_samples: int) -> None:
         for listener in self.listeners:
             listener.on_gap(num_samples)
+
+    def on_depth(self, depth: Depth) -> None:
+        for listener in self.listeners:
+            listener.on_depth(depth)
 
     def on_drive_applied(self, applied: DriveApplied) -> None:
         for listener in self.listeners:

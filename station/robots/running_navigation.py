@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 from dataclasses import replace
 
-from shared.messages import CameraFrame, DriveApplied, Hello, ImuBatch
+from shared.messages import CameraFrame, Depth, DriveApplied, Hello, ImuBatch
 from station.events import Notifier
 from station.library.navigation_records import NavigationRecord
-from station.model.frames import ImageFrame
+from station.model.frames import DepthFrame, ImageFrame
 from station.robots.link_events import IgnoringListener, LinkListener, drive_sample
 from station.robots.live_slam import LiveSlam
 from station.robots.navigation_files import NavigationRecorder
@@ -67,6 +67,11 @@ class RunningNavigation(IgnoringListener):
 
     def on_gap(self, num_samples: int) -> None:
         self._imu_lost += num_samples
+
+    def on_depth(self, depth: Depth) -> None:
+        sensor = self.hello.calibration.depth_sensor
+        if sensor is not None:
+            self.slam.post(SlamProgram.add_depth, DepthFrame(depth.t_robot_ns, depth.png, sensor))
 
     def on_drive_applied(self, applied: DriveApplied) -> None:
         self.slam.post(SlamProgram.add_drive, drive_sample(applied))

@@ -22,6 +22,7 @@ from station.workers.worker import Worker
 
 LIVE_BACKENDS = ("ukf", "mono", "smoothing")
 DRIVE_BACKLOG = Limit(6000)  # 20 a second: five minutes
+DEPTH_BACKLOG = Limit(60)  # four a second: a quarter of a minute, and 60 MB at most
 MAX_DEATHS = 5  # a backend that dies again and again costs the machine more than it gives;
 QUICK_DEATH_S = 10.0  # one that ran for longer may be killed as often as it likes
 HEAD_START_S = 10.0  # somebody waits for its first update
@@ -126,6 +127,7 @@ class SlamWorker:
                 SlamProgram.add_frame: frames,
                 SlamProgram.add_imu: Limit(config.imu_backlog),
                 SlamProgram.add_drive: DRIVE_BACKLOG,
+                SlamProgram.add_depth: DEPTH_BACKLOG,
             },
             head_start_s=HEAD_START_S,
             on_event=self._receive,

@@ -20,6 +20,7 @@ from shared.messages import (
     MAX_TIME_NS,
     CameraFrame,
     Capabilities,
+    Depth,
     Drive,
     DriveApplied,
     ErrorNotice,
@@ -65,7 +66,7 @@ def floats_within(limit: float) -> st.SearchStrategy[float]:
 
 
 STATION_MESSAGES: st.SearchStrategy[StationMessage] = st.one_of(
-    st.builds(Join, protocol=COUNT, station_name=NAME, resume_session_id=st.just("") | NAME),
+    st.builds(Join, protocol=COUNT, station_name=NAME, resume_session_id=st.just("") | NAME, knows_depth=st.booleans()),
     st.builds(Heartbeat, seq=COUNT, t_station_ns=TIME),
     st.builds(
         Drive,
@@ -122,6 +123,7 @@ ROBOT_MESSAGES: st.SearchStrategy[RobotMessage] = st.one_of(
         first_sequence=COUNT,
         samples=st.lists(st.builds(ImuSample, TIME, VECTOR, VECTOR), min_size=1, max_size=8).map(tuple),
     ),
+    st.builds(Depth, seq=COUNT, t_robot_ns=TIME, png=st.binary(max_size=2000)),
     st.builds(DriveApplied, t_robot_ns=TIME, linear=ANY_FLOAT, angular=ANY_FLOAT),
     st.builds(
         Status,

@@ -18,6 +18,7 @@ from shared.messages import (
     PROTOCOL_VERSION,
     CameraFrame,
     Capabilities,
+    Depth,
     DriveApplied,
     ErrorNotice,
     Hello,
@@ -231,6 +232,7 @@ class Notes:
         self.frames: list[tuple[CameraFrame, int]] = []
         self.batches: list[ImuBatch] = []
         self.gaps: list[int] = []
+        self.depth: list[Depth] = []
         self.applied: list[DriveApplied] = []
         self.statuses: list[Status] = []
         self.notices: list[ErrorNotice] = []
@@ -256,6 +258,9 @@ class Notes:
 
     def on_gap(self, num_samples: int) -> None:
         self.gaps.append(num_samples)
+
+    def on_depth(self, depth: Depth) -> None:
+        self.depth.append(depth)
 
     def on_drive_applied(self, applied: DriveApplied) -> None:
         self.applied.append(applied)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from robot.devices.ports import CapturedFrame, DeviceSet, EndOfRecording, ImuReading
+from robot.devices.ports import CapturedDepth, CapturedFrame, DeviceSet, EndOfRecording, ImuReading
 from robot.devices.recorded.images import read_size, to_jpeg
 from robot.devices.recorded.recording import RecordedFrame, Recording, open_recording
 from shared.errors import DataError, DeviceLost
@@ -86,6 +86,30 @@ class RecordedCamera:
             self._cache[index] = loaded
             self._cached_bytes += len(loaded[0])
         return loaded
+
+
+class RecordedDepth:
+    """Plays depth pictures in time order; skips none."""
+
+    def __init__(self, pictures: tuple[RecordedFrame, ...], playback: Playback) -> None:
+        self._pictures = pictures
+        self._playback = playback
+        self._count = 0
+
+    async def measure(self) -> CapturedDepth:
+        """The next one at its time. A file that cannot be read is passed over with a DeviceLost that names it."""
+        index, shift_ns = self._playback.place(self._count, len(self._pictures))
+        self._count += 1
+        picture = self._pictures[index]
+        try:
+            png = await asyncio.to_thread(picture.encoded)
+        except DataError as exc:
+            raise DeviceLost(str(exc)) from exc
+        await asyncio.sleep(self._playback.seconds_until(picture.t_robot_ns + shift_ns))
+        return CapturedDepth(picture.t_robot_ns + shift_ns, png)
+
+    async def close(self) -> None:
+        """Nothing is held open."""
 
 
 class RecordedImu:
@@ -171,5 +195,6 @@ def open_recorded(
         camera=RecordedCamera(recording.frames, playback) if recording.frames else None,
         imu=RecordedImu(recording.samples, playback) if recording.samples else None,
         motors=RecordedMotors(),
+        depth=RecordedDepth(recording.depth, playback) if recording.depth else None,
         clock=playback.now_ns,
     )

@@ -21,6 +21,7 @@ from shared.recorded_files import (
     asl_numbers,
     asl_rows,
     check_readable,
+    depth_images,
     exposures_ns,
     image_times_ns,
     images_in_order,
@@ -31,6 +32,7 @@ from shared.sensor_yaml import (
     read_camera,
     read_exposure_ns,
     read_folder_camera,
+    read_folder_depth,
     read_imu_noise,
     read_mounting,
     read_rig,
@@ -68,6 +70,7 @@ class Recording:
     frames: tuple[RecordedFrame, ...]
     samples: tuple[ImuReading, ...]
     remarks: tuple[str, ...]  # what is missing, in sentences
+    depth: tuple[RecordedFrame, ...] = ()  # PNG files, as the calibration's depth sensor made them
 
     @property
     def first_ns(self) -> int:
@@ -182,13 +185,22 @@ def _open_images(path: Path) -> Recording:
     camera = read_folder_camera(path, lambda: read_size(an_image.encoded(), an_image.path))
     times = image_times_ns([number for number, _ in numbered], camera.rate_hz, path)
     frames = tuple(RecordedFrame(t_ns, image) for t_ns, (_, image) in zip(times, numbered, strict=True))
+    pictures = depth_images(path)
+    depth = tuple(
+        RecordedFrame(t_ns, pictures[number])
+        for t_ns, (number, _) in zip(times, numbered, strict=True)
+        if number in pictures
+    )
+    sensor = read_folder_depth(path, lambda: read_size(depth[0].encoded(), depth[0].path)) if depth else None
     remarks = (f"{path} holds no IMU samples; only its images are played",)
-    return Recording(path, Calibration(camera=camera, imu=None), frames, (), remarks)
+    if sensor is None:
+        return Recording(path, Calibration(camera=camera, imu=None), frames, (), remarks)
+    return Recording(path, Calibration(camera=camera, imu=None, depth=sensor), frames, (), remarks, depth)
 
 
 def _open_mcap(path: Path) -> Recording:
     """Open an MCAP recording. Raises DataError where it is not one of ours, or holds nothing to play."""
-    from shared.mcap_recording import HELLO_TOPIC, McapContent, mcap_images
+    from shared.mcap_recording import HELLO_TOPIC, McapContent, mcap_depth, mcap_images
 
     content = McapContent(path)
     if content.hello is None:
@@ -200,13 +212,17 @@ def _open_mcap(path: Path) -> Recording:
         RecordedFrame(t_ns, path, exposure_ns, partial(images.read, number))
         for number, (t_ns, exposure_ns) in enumerate(content.frames)
     )
+    pictures = _InOrder(lambda: mcap_depth(path))
+    depth = tuple(
+        RecordedFrame(t_ns, path, 0, partial(pictures.read, number)) for number, t_ns in enumerate(content.depth_times)
+    )
     samples = tuple(
         ImuReading(sequence, t_ns, (wx, wy, wz), (ax, ay, az))
         for sequence, (t_ns, (wx, wy, wz, ax, ay, az)) in enumerate(content.samples)
     )
     remarks = [f"{content.unusable_samples} IMU samples of {path} are no numbers and are left out"]
     return Recording(
-        path, content.hello.calibration, frames, samples, tuple(remarks if content.unusable_samples else ())
+        path, content.hello.calibration, frames, samples, tuple(remarks if content.unusable_samples else ()), depth
     )
 
 

@@ -9,6 +9,7 @@ from robot.devices.simulated.control import ControlServer
 from robot.devices.simulated.parts import (
     SimulatedBattery,
     SimulatedCameraPort,
+    SimulatedDepthPort,
     SimulatedHijack,
     SimulatedImu,
     SimulatedMotors,
@@ -45,6 +46,7 @@ def open_simulated(
         camera=SimulatedCameraPort(robot),
         imu=SimulatedImu(robot),
         motors=SimulatedMotors(robot),
+        depth=SimulatedDepthPort(robot) if robot.calibration.depth_sensor is not None else None,
         pan_tilt=SimulatedPanTilt(robot),
         battery=SimulatedBattery(robot),
         hijack=SimulatedHijack(robot),

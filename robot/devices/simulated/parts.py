@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 
-from robot.devices.ports import BatteryState, CapturedFrame, ImuReading
+from robot.devices.ports import BatteryState, CapturedDepth, CapturedFrame, ImuReading
 from robot.devices.simulated.robot import SimulatedRobot
 
 MAX_READINGS = 225  # a second's worth, as the port says
@@ -20,6 +20,16 @@ class SimulatedCameraPort(_Part):
 
     async def capture(self) -> CapturedFrame:
         return (await self._robot.frame_mailbox.get())[-1]
+
+    async def close(self) -> None:
+        self._robot.close()
+
+
+class SimulatedDepthPort(_Part):
+    """Delivers the newest depth picture."""
+
+    async def measure(self) -> CapturedDepth:
+        return (await self._robot.depth_mailbox.get())[-1]
 
     async def close(self) -> None:
         self._robot.close()

@@ -17,6 +17,7 @@ from robot.simulation.body import MotionState
 from robot.simulation.calibration.overlay import HungBoard
 from robot.simulation.config import Faults, SimulationConfig
 from robot.simulation.construction import built_camera
+from robot.simulation.depth import SimulatedDepth
 from robot.simulation.imaging import SimulatedCamera
 from robot.simulation.recording import simulated_calibration
 from robot.simulation.renderer import Renderer
@@ -35,6 +36,7 @@ class FrameRequest:
     faults: Faults
     covered: float
     hung: HungBoard | None  # a board that hangs in the world
+    with_depth: bool = False  # measure depth too
 
 
 class CameraProcess:
@@ -56,13 +58,16 @@ class CameraProcess:
         """Raises DeviceLost when the world cannot be drawn."""
         self._receive(READY_TIMEOUT_S)
 
-    def take(self, request: FrameRequest) -> tuple[bytes, float]:
-        """Render one picture: JPEG, exposure in s. Raises DeviceLost when the process has died."""
+    def take(self, request: FrameRequest) -> tuple[bytes, float, bytes]:
+        """Render one picture: JPEG, exposure in s, depth as PNG (empty: not asked for).
+
+        Raises DeviceLost when the process has died.
+        """
         try:
             self._connection.send(request)
         except OSError as exc:
             raise DeviceLost("the simulated camera's process has ended; it is started again") from exc
-        return cast(tuple[bytes, float], self._receive(RENDER_TIMEOUT_S))
+        return cast(tuple[bytes, float, bytes], self._receive(RENDER_TIMEOUT_S))
 
     def close(self) -> None:
         with contextlib.suppress(OSError):
@@ -99,6 +104,8 @@ def serve(connection: Connection, world: str, seed: int, config: SimulationConfi
     try:
         renderer = Renderer(make_world(world, seed, config), built, cache_dir)
         camera = SimulatedCamera(renderer, built, config.camera, seed)
+        sensor = calibration.depth_sensor
+        depth = None if sensor is None else SimulatedDepth(sensor, built, config.depth, seed)
     except Exception as exc:  # whatever it is, the parent must hear of it instead of waiting
         connection.send(f"{type(exc).__name__}: {exc}")
         return
@@ -109,4 +116,5 @@ def serve(connection: Connection, world: str, seed: int, config: SimulationConfi
             path = MotionHistory(request.states)
             pose = partial(path.head_pose, head=head)
             exposure = camera.expose(pose, request.t_s, request.faults, request.covered, request.hung)
-            connection.send((exposure.jpeg, exposure.exposure_s))
+            measured = depth.measure(exposure.inverse_depth) if depth is not None and request.with_depth else b""
+            connection.send((exposure.jpeg, exposure.exposure_s, measured))

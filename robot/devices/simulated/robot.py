@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from robot.devices.mailbox import Mailbox
-from robot.devices.ports import BatteryState, CapturedFrame, ImuReading
+from robot.devices.ports import BatteryState, CapturedDepth, CapturedFrame, ImuReading
 from robot.devices.simulated.rendering import CameraProcess, FrameRequest
 from robot.devices.simulated.truth_log import TruthLog
 from robot.simulation.body import TICK_RATE_HZ, TICK_S, Body, MotionState
@@ -42,12 +42,18 @@ MAX_TRUTH_LOG = int(3600 * 4 * TRUTH_LOG_RATE_HZ)
 IMU_LIMIT = 2250  # ten seconds for a reader that stalls
 EXPOSURE_MARGIN_S = 0.025  # motion known beyond the last row before a picture is taken
 CAMERA_RESTART_S = 1.0
+AHEAD_RAD = math.radians(1.0)  # servos at rest are not quite still
 BATTERY_FULL_V, BATTERY_EMPTY_V = 8.4, 6.4
 BATTERY_LIFE_S, DRIVING_FACTOR = 4 * 3600.0, 3.0
 
 
 class Closable(Protocol):
     def close(self) -> None: ...
+
+
+def _looks_ahead(states: list[MotionState]) -> bool:
+    """Whether the head is straight ahead: a depth sensor is told to be fixed to the body."""
+    return all(max(map(abs, state.head)) < AHEAD_RAD for state in states)
 
 
 class SimulatedRobot:
@@ -71,6 +77,7 @@ class SimulatedRobot:
         self._job = (world, seed, config, cache_dir)
         self.imu_mailbox: Mailbox[ImuReading] = Mailbox(IMU_LIMIT)
         self.frame_mailbox: Mailbox[CapturedFrame] = Mailbox(1)
+        self.depth_mailbox: Mailbox[CapturedDepth] = Mailbox(1)
         self.camera_pid: int | None = None  # of the process that renders
         self.faults: Faults = config.faults  # from the next sample and frame on
         self._servos = Servos(config.servos, seed)
@@ -249,6 +256,7 @@ class SimulatedRobot:
         period_s = 1.0 / self.config.camera_rate_hz
         readout_s = camera.line_delay_s * camera.height
         number = 0
+        depth_hz, depth_due_s = self.config.depth.rate_hz, 0.0
         while not self._stopped.is_set():
             with self._lock:
                 latest = self._history.end_s
@@ -262,8 +270,13 @@ class SimulatedRobot:
             t_s = number * period_s
             with self._lock:
                 states = self._history.between(t_s - EXPOSURE_MARGIN_S, t_s + readout_s + EXPOSURE_MARGIN_S)
-                request = FrameRequest(t_s, states, self.faults, self._history.carried(t_s), self._hung)
+                with_depth = depth_hz > 0 and t_s >= depth_due_s and _looks_ahead(states)
+                request = FrameRequest(t_s, states, self.faults, self._history.carried(t_s), self._hung, with_depth)
                 t_ns = self._ns(t_s)
-            jpeg, exposure_s = process.take(request)
+            jpeg, exposure_s, depth_png = process.take(request)
+            if depth_png:
+                depth_due_s = t_s + 1.0 / depth_hz
+                # The picture's middle row; the sensor is fixed to the body, whose clock is the IMU's.
+                self.depth_mailbox.put(CapturedDepth(t_ns + round(0.5e9 * readout_s), depth_png))
             t_ns -= round(camera.time_shift_s * 1e9)
             self.frame_mailbox.put(CapturedFrame(t_ns, round(exposure_s * 1e9), camera.width, camera.height, jpeg))

@@ -159,6 +159,7 @@ async def test_a_live_backend_may_be_less_behind_than_one_that_answers_at_the_en
         SlamProgram.add_frame: frames,
         SlamProgram.add_imu: Limit(30_000),
         SlamProgram.add_drive: Limit(6000),
+        SlamProgram.add_depth: Limit(60),
     }
     await slam.close()
 

@@ -1,18 +1,20 @@
 """Depth gives metres to a map without, and its scans to every map."""
 
+import contextlib
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
-from shared.calibration import DepthCalibration
+from shared.calibration import Calibration, DepthCalibration
 from shared.errors import DataError
-from station.model.frames import DepthFrame, DriveSample, ImageFrame, ImuBatch
-from station.model.navigation import Navigation
-from station.model.slam_update import SlamUpdate
+from station.model.frames import DepthFrame, DriveSample, ImageFrame
 from station.slam.mapping.depth import MAX_SCANS, MAX_SIDE, DepthLog, scale_from_depth, step_of, with_depth
 from station.slam.run import content_digest, run_backend
-from tests.support.depth import STEP_NS, depth_camera, encoded, frames, map_of, way
+from station.workers.slam import NavigationSlam
+from tests.support.depth import CAMERA, STEP_NS, Made, depth_camera, encoded, frames, map_of, way
 
 
 def log_of(pictures: list[DepthFrame]) -> DepthLog:
@@ -103,35 +105,6 @@ def test_where_depth_shows_no_landmark_there_are_no_metres() -> None:
     assert "too few landmarks" in made.report.messages[-1]
 
 
-class Made:
-    """A backend that has its map already."""
-
-    def __init__(self, navigation: Navigation) -> None:
-        self.navigation = navigation
-        self.order: list[object] = []
-
-    def add_imu(self, imu: ImuBatch) -> None:
-        self.order.append(imu)
-
-    def add_drive(self, drive: DriveSample) -> None:
-        self.order.append(drive)
-
-    def add_frame(self, frame: ImageFrame) -> SlamUpdate:
-        self.order.append(frame)
-        return SlamUpdate(frame.t_robot_ns, "tracking", "", None, 0, False)
-
-    def catch_up(self) -> bool:
-        return False
-
-    def keyframe_pictures(self) -> list[bytes]:
-        return []
-
-    def keyframe_features(self, number: int) -> None: ...
-
-    def finish(self) -> Navigation:
-        return self.navigation
-
-
 def test_no_backend_sees_depth_and_without_it_no_bit_is_another() -> None:
     T, sensor = way(), depth_camera()
     arbitrary = map_of(T, 0.5)
@@ -144,6 +117,20 @@ def test_no_backend_sees_depth_and_without_it_no_bit_is_another() -> None:
     assert plain.depth is None and "depth" not in plain.report.config and not plain.is_metric
     assert plain.id == f"{arbitrary.id}-{content_digest(arbitrary)}"
     assert metric.is_metric and metric.depth is not None
+
+
+def test_the_worker_of_a_running_robot_does_the_same() -> None:
+    T, sensor = way(), depth_camera()
+    slam = NavigationSlam(lambda _: None)
+    slam.begin("tests.support.depth:half_sized_room", Calibration(camera=CAMERA, imu=None), 0)
+    for event in (*frames(sensor, T), *(ImageFrame(k, k * STEP_NS, 0, b"") for k in range(40))):
+        if isinstance(event, DepthFrame):
+            slam.add_depth(event)
+        else:
+            slam.add_frame(event)
+    made = slam.complete("kitchen")
+    assert made.is_metric and made.depth is not None and len(made.depth) == 20
+    assert made.report.config["depth"]["scale"] == pytest.approx(0.5, rel=0.02)
 
 
 def test_a_log_is_bounded_and_spans_all_of_the_way() -> None:
@@ -203,3 +190,20 @@ def test_a_damaged_picture_leaves_what_was_kept_in_order() -> None:
     scans = log.scans()
     assert scans is not None
     assert scans.t_robot_ns.tolist() == [good[0].t_robot_ns, good[2].t_robot_ns] and len(scans.millimetres) == 2
+
+
+@given(st.binary(max_size=300))
+@example(encoded(np.zeros((6, 8), np.uint16)))
+def test_any_bytes_are_a_picture_or_refused_in_words(content: bytes) -> None:
+    frame = DepthFrame(0, content, depth_camera(8, 6))
+    with contextlib.suppress(DataError):
+        assert frame.millimetres().shape == (6, 8)
+
+
+@given(st.data())
+def test_a_damaged_picture_is_a_picture_or_refused_in_words(data: st.DataObject) -> None:
+    content = bytearray(encoded(np.arange(48, dtype=np.uint16).reshape(6, 8)))
+    for at in data.draw(st.lists(st.integers(0, len(content) - 1), min_size=1, max_size=4)):
+        content[at] = data.draw(st.integers(0, 255))
+    with contextlib.suppress(DataError):
+        assert DepthFrame(0, bytes(content), depth_camera(8, 6)).millimetres().shape == (6, 8)

@@ -1,0 +1,91 @@
+"""Depth pictures reach a station a few times a second, and take no more than a share of a thin link."""
+
+from __future__ import annotations
+
+import cv2
+import msgspec
+import numpy as np
+import pytest
+
+from robot.depth import LEAST_INTERVAL_NS, SHARE, DepthSlot, DepthStream
+from robot.devices.ports import CapturedDepth
+from robot.link_meter import LinkEstimate, LinkMeter
+from robot.simulation.config import DepthSensorModel
+from robot.simulation.depth import SimulatedDepth, depth_calibration
+from shared.calibration import REFERENCE_CAMERA, CameraCalibration
+from station.vision.lens import Lens
+
+MS, S = 1_000_000, 1_000_000_000
+
+
+def sent(slot: DepthSlot, stream: DepthStream, seconds: float, num_bytes: int) -> list[int]:
+    """Times at which pictures went, of a sensor that makes a hundred a second."""
+    times = []
+    for t_ns in range(0, round(seconds * S), 10 * MS):
+        slot.put(CapturedDepth(t_ns, bytes(num_bytes)))
+        if (depth := stream.next_depth(t_ns)) is not None:
+            assert depth.t_robot_ns == t_ns and depth.seq == slot.count - 1 and stream.is_at_end
+            times.append(t_ns)
+    return times
+
+
+def test_the_newest_goes_four_times_a_second_on_this_machine() -> None:
+    slot = DepthSlot()
+    slot.put(CapturedDepth(-1, b"old"))
+    stream = DepthStream(slot, LinkMeter(), is_on_this_machine=True)
+    assert stream.next_depth(0) is None and stream.is_at_end
+    assert np.diff(sent(slot, stream, 2.0, 1000)).tolist() == [LEAST_INTERVAL_NS] * 7
+
+
+def test_beyond_it_nothing_goes_until_the_link_is_known() -> None:
+    slot, meter = DepthSlot(), LinkMeter()
+    stream = DepthStream(slot, meter, is_on_this_machine=False)
+    assert sent(slot, stream, 1.0, 1000) == []
+    assert not stream.is_at_end
+
+
+@pytest.mark.parametrize(("bytes_per_s", "size"), [(1e6, 200_000), (1e6, 1000), (2e5, 300_000)])
+def test_depth_takes_a_quarter_of_what_the_link_carries(bytes_per_s: float, size: int) -> None:
+    slot, meter = DepthSlot(), LinkMeter()
+    meter.estimate = LinkEstimate(bytes_per_s=bytes_per_s, trip_ns=10 * MS, other_bytes_per_s=0.0)
+    times = sent(slot, DepthStream(slot, meter, is_on_this_machine=False), 20.0, size)
+    assert len(times) > 3
+    assert len(times) * size <= SHARE * bytes_per_s * 20.0 + size
+    assert min(np.diff(times)) >= LEAST_INTERVAL_NS
+
+
+PINHOLE = msgspec.structs.replace(REFERENCE_CAMERA, distortion=(0.0,) * 4)
+FISHEYE = msgspec.structs.replace(
+    REFERENCE_CAMERA, fx=300.0, fy=300.0, model="equidistant", distortion=(0.01, -0.005, 0.002, 0.0)
+)
+
+
+@pytest.mark.parametrize("camera", [PINHOLE, REFERENCE_CAMERA, FISHEYE], ids=["pinhole", "radtan", "fisheye"])
+@pytest.mark.parametrize("columns", [8, 64])
+def test_a_simulated_sensor_measures_what_the_camera_sees(camera: CameraCalibration, columns: int) -> None:
+    """A wall askew, of which the inverse depth is linear in the ray."""
+    told = depth_calibration(camera, DepthSensorModel(columns=columns))
+    lens = Lens(camera)
+    v, u = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float64)
+    xy = lens.unproject(np.stack([u, v], axis=-1))
+    inverse_depth = (0.5 + 0.3 * xy[..., 0] - 0.2 * xy[..., 1]).astype(np.float32)
+    sensor = SimulatedDepth(told, camera, DepthSensorModel(columns=columns, noise=0.0, max_m=60.0), 0)
+    image = cv2.imdecode(np.frombuffer(sensor.measure(inverse_depth), np.uint8), cv2.IMREAD_UNCHANGED)
+    assert image.dtype == np.uint16 and image.shape == (told.height, told.width)
+    y, x = np.mgrid[0 : told.height, 0 : told.width]
+    expected = 1000 / (0.5 + 0.3 * (x - told.cx) / told.fx - 0.2 * (y - told.cy) / told.fy)
+    assert (image > 0).mean() > 0.9
+    within_pixel = 0.5 * np.hypot(0.3, 0.2) * np.sqrt(2) / camera.fx  # 1/m: the nearest pixel is looked at
+    found, true = 1000 / image[image > 0], 1000 / expected[image > 0]
+    np.testing.assert_allclose(found, true, atol=within_pixel + 0.0005 * true.max() ** 2)
+
+
+def test_a_simulated_sensor_is_noisy_and_sees_no_further_than_it_can() -> None:
+    model = DepthSensorModel(columns=64, noise=0.02, max_m=4.0)
+    sensor = SimulatedDepth(depth_calibration(PINHOLE, model), PINHOLE, model, 1)
+    inverse_depth = np.full((480, 640), 0.5, np.float32)
+    inverse_depth[:240] = 0.2
+    image = cv2.imdecode(np.frombuffer(sensor.measure(inverse_depth), np.uint8), cv2.IMREAD_UNCHANGED)
+    assert (image[:23] == 0).all()
+    assert np.std(image[25:] / 2000.0) == pytest.approx(0.02, rel=0.1)
+    assert np.mean(image[25:]) == pytest.approx(2000, rel=0.003)
