@@ -13,10 +13,10 @@ from typing import TypeVar
 import msgspec
 
 from robot.config import PiConfig
-from robot.devices.ports import Battery, Camera, DeviceSet, Imu, ImuReading, Motors, PanTilt
+from robot.devices.ports import Battery, Camera, DepthSensor, DeviceSet, Imu, ImuReading, Motors, PanTilt
 from shared.errors import HardwareError, RobotSystemError
 
-FRAMES, READINGS = 30, 450
+FRAMES, READINGS, DEPTH_PICTURES = 30, 450, 5
 LEAST_RATE = 0.9  # of the rate a part should have
 CHECK_TTL_NS = 300_000_000  # of a motor command that is repeated every 100 ms
 GRAVITY_M_S2 = (9.3, 10.3)  # a resting accelerometer, its bias included
@@ -45,6 +45,15 @@ async def check_camera(camera: Camera, expected_hz: float | None = None) -> str:
         f"{rate_hz:.1f} frames/s of {frames[-1].width}x{frames[-1].height}, {size_kb:.0f} kB each,"
         f" exposure {exposure_ms:.1f} ms"
     )
+
+
+async def check_depth(depth: DepthSensor) -> str:
+    pictures = [await asyncio.wait_for(depth.measure(), 10.0) for _ in range(DEPTH_PICTURES)]
+    span_s = (pictures[-1].t_robot_ns - pictures[0].t_robot_ns) * 1e-9
+    if span_s <= 0:
+        raise CheckFailed("the depth pictures' times stand still; check the sensor's clock")
+    size_kb = sum(len(p.png) for p in pictures) / len(pictures) / 1000
+    return f"{(DEPTH_PICTURES - 1) / span_s:.1f} depth pictures/s, {size_kb:.1f} kB each"
 
 
 async def check_imu(imu: Imu, expected_hz: float | None = None) -> str:
@@ -114,6 +123,7 @@ async def check_devices(devices: DeviceSet, track_m: float = PiConfig().track_m)
     works, noise = True, devices.calibration.imu
     try:
         works &= await run_check("camera", devices.camera, check_camera)
+        works &= await run_check("depth", devices.depth, check_depth)
         works &= await run_check("imu", devices.imu, lambda imu: check_imu(imu, noise.rate_hz if noise else None))
         works &= await run_check("battery", devices.battery, check_battery)
         works &= await run_check("motors", devices.motors, lambda motors: check_motors(motors, track_m))

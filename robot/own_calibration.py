@@ -51,7 +51,7 @@ class OwnCalibration:
         self.current = came_with
         if folder is not None and (own := read_own(folder)) is not None:
             self._check(own, f"{folder / FILE}: ")
-            self.current, self._is_given = self._with_our_head(own), True
+            self.current, self._is_given = self._as_built(own), True
             self._previous = self._read_previous(folder / FILE)
 
     @property
@@ -81,7 +81,7 @@ class OwnCalibration:
         if self._folder is not None:
             # What is told is what the file says: a restart must not change it by a rounding.
             calibration = _stored(self._folder, before, calibration)
-        self.current, self._previous, self._is_given = self._with_our_head(calibration), before, True
+        self.current, self._previous, self._is_given = self._as_built(calibration), before, True
 
     def _read_previous(self, path: Path) -> Calibration | None:
         """None as well where it cannot be used: what is told now is whole, and a robot without undo still drives."""
@@ -91,11 +91,11 @@ class OwnCalibration:
         except (ConfigError, DataError) as exc:
             logger.warning("the calibration before the present one cannot be used, so there is no undo: %s", exc)
             return None
-        return None if previous is None else self._with_our_head(previous)
+        return None if previous is None else self._as_built(previous)
 
-    def _with_our_head(self, calibration: Calibration) -> Calibration:
-        """The head is as it was built: nobody measures it, the file leaves it out."""
-        return msgspec.structs.replace(calibration, head=self._came_with.head)
+    def _as_built(self, calibration: Calibration) -> Calibration:
+        """Head and depth sensor are as they were built: nobody measures them, the file leaves them out."""
+        return msgspec.structs.replace(calibration, head=self._came_with.head, depth=self._came_with.depth)
 
     @property
     def _source(self) -> str:

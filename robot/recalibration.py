@@ -11,7 +11,6 @@ import msgspec
 from robot.commands import notice
 from robot.own_calibration import OwnCalibration, summary
 from robot.station_client import StationClient
-from shared.calibration import Calibration
 from shared.calibration_yaml import calibration_digest
 from shared.errors import RobotSystemError
 from shared.messages import CalibrationChanged, Refusal, UndoCalibration, UseCalibration
@@ -65,7 +64,7 @@ class Recalibration:
         own = self.own
         try:
             if isinstance(message, UseCalibration):
-                await asyncio.to_thread(own.use, _with_depth_of(own.current, message.calibration))
+                await asyncio.to_thread(own.use, message.calibration)
             else:
                 await asyncio.to_thread(own.undo)
         except RobotSystemError as exc:
@@ -80,8 +79,3 @@ class Recalibration:
                 other.put(msgspec.structs.replace(changed, is_answer=other is client))
             else:  # its hello told the one before
                 other.end(Event.REFUSAL, Refusal(reason="the robot's calibration has just changed; connect again"))
-
-
-def _with_depth_of(present: Calibration, told: Calibration) -> Calibration:
-    """What is told, with the depth sensor that is there where it says nothing of one, as of an older station."""
-    return told if told.depth_sensor is not None else msgspec.structs.replace(told, depth=present.depth)

@@ -91,6 +91,14 @@ async def test_an_older_station_gets_none_and_stays(bench: DepthBench, monkeypat
         assert notes.depth == [] and link.state.connections == 1
 
 
+async def test_an_older_station_that_gives_another_calibration_takes_no_sensor_away(bench: DepthBench) -> None:
+    async with linked(bench.port) as (link, notes):
+        without = msgspec.structs.replace(REFERENCE_ROBOT, gravity=9.8)  # it knows of no depth
+        assert await link.commands.use_calibration(without, WITH_DEPTH) is None
+        await until(lambda: notes.calibrations)
+        assert notes.calibrations[-1].calibration == msgspec.structs.replace(WITH_DEPTH, gravity=9.8)
+
+
 async def test_a_picture_too_large_is_a_fault_and_is_not_sent(bench: DepthBench) -> None:
     async with linked(bench.port) as (_, notes):
         bench.depth.pictures.put_nowait(CapturedDepth(5, bytes(2**20 + 1)))

@@ -68,12 +68,20 @@ def _scanned(navigation: Navigation) -> Observed:
     scans = [transform(T_world_body[i], depth.points_body(int(kept[i]))) for i in chosen]
     p = np.concatenate([np.empty((0, 3)), *scans])
     scan = np.repeat(np.arange(len(scans)), [len(s) for s in scans])
-    _, cube = np.unique(np.floor(p / CUBE_M).astype(np.int64), axis=0, return_inverse=True)
-    cube = cube.ravel()
-    count = np.bincount(cube)
-    middle = np.stack([np.bincount(cube, p[:, axis]) / count for axis in range(3)], axis=1).reshape(-1, 3)
-    pairs = np.unique(np.stack([scan, cube], axis=1), axis=0)
-    return Observed(middle, eyes, pairs[:, 1].astype(np.int64), pairs[:, 0].astype(np.int64))
+    cube, count = _numbered(np.floor(p / CUBE_M).astype(np.int64))
+    size = np.bincount(cube, minlength=count)
+    middle = np.stack([np.bincount(cube, p[:, axis], count) / size for axis in range(3)], axis=1)
+    pairs = np.unique(scan * count + cube)
+    return Observed(middle, eyes, pairs % max(count, 1), pairs // max(count, 1))
+
+
+def _numbered(cells: IntArray) -> tuple[IntArray, int]:
+    """For each cell (n, 3) its number among the different ones, and how many these are."""
+    number = np.zeros(len(cells), dtype=np.int64)
+    for column in cells.T:  # one axis after the other: products of three extents may be more than an integer holds
+        _, at = np.unique(column, return_inverse=True)
+        _, number = np.unique(number * (at.max(initial=0) + 1) + at, return_inverse=True)
+    return number.astype(np.int64), int(number.max(initial=-1)) + 1
 
 
 def _apart(T: FloatArray) -> list[int]:

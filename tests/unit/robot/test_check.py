@@ -9,7 +9,7 @@ import pytest
 
 from robot import check
 from robot.devices.pi.kinematics import DriveGeometry
-from robot.devices.ports import CapturedFrame
+from robot.devices.ports import CapturedDepth, CapturedFrame
 
 
 class SlowCamera:
@@ -66,3 +66,23 @@ async def test_what_the_board_complains_of_fails() -> None:
     with pytest.raises(check.CheckFailed, match="hot"):
         await check.check_health(lambda: {"DRIVER_FAULT": "hot"})
     assert await check.check_health(dict)
+
+
+class SteppingDepth:
+    """A picture every so often."""
+
+    def __init__(self, step_ns: int) -> None:
+        self._step_ns = step_ns
+        self._count = 0
+
+    async def measure(self) -> CapturedDepth:
+        self._count += 1
+        return CapturedDepth(self._count * self._step_ns, bytes(2000))
+
+    async def close(self) -> None: ...
+
+
+async def test_a_depth_sensor_tells_its_rate_and_one_whose_clock_stands_still_fails() -> None:
+    assert await check.check_depth(SteppingDepth(250_000_000)) == "4.0 depth pictures/s, 2.0 kB each"
+    with pytest.raises(check.CheckFailed, match="times stand still"):
+        await check.check_depth(SteppingDepth(0))

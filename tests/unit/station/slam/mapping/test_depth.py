@@ -157,6 +157,18 @@ def test_pictures_are_thinned_and_their_pixels_lie_where_they_lay() -> None:
     assert (17 - scans.sensor.cy) / scans.sensor.fy == pytest.approx((v - sensor.cy) / sensor.fy)
 
 
+def test_a_damaged_picture_costs_itself_only() -> None:
+    sensor = depth_camera(8, 6)
+    picture = encoded(np.full((6, 8), 1000, np.uint16))
+    log = log_of([DepthFrame(0, picture, sensor)])
+    with pytest.raises(DataError):
+        log.add(DepthFrame(1, picture[:50], sensor))
+    for t in (2, 3):
+        log.add(DepthFrame(t, picture, sensor))
+    scans = log.scans()
+    assert scans is not None and scans.t_robot_ns.tolist() == [0, 2, 3] and len(scans.millimetres) == 3
+
+
 def test_times_that_do_not_go_on_and_other_sensors_are_refused() -> None:
     sensor = depth_camera(8, 6)
     picture = encoded(np.full((6, 8), 1000, np.uint16))
