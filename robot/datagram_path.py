@@ -9,6 +9,7 @@ from robot.link_meter import LinkMeter
 from robot.parity import Losses
 from shared.datagrams import Opener, Sealer
 from shared.errors import RemoteProtocolError
+from shared.message_codec import decode_station_datagram, encode_message
 from shared.messages import (
     MAX_COUNT,
     CameraFrame,
@@ -17,8 +18,6 @@ from shared.messages import (
     HeartbeatReply,
     PictureArrival,
     StationDatagram,
-    decode_station_datagram,
-    encode_message,
 )
 from shared.picture_pieces import MAX_PICTURE_BYTES, MESSAGE, cut, num_pieces
 

@@ -10,6 +10,7 @@ from typing import Literal
 
 from shared.errors import LocalProtocolError, RemoteProtocolError
 from shared.framing import MAX_ROBOT_PAYLOAD, MAX_STATION_PAYLOAD, FrameDecoder, encode_payload
+from shared.message_codec import decode_robot_message, decode_station_message, encode_message, version_mismatch
 from shared.messages import (
     PROTOCOL_VERSION,
     ErrorNotice,
@@ -25,10 +26,6 @@ from shared.messages import (
     Prove,
     Refusal,
     Welcome,
-    decode_robot_message,
-    decode_station_message,
-    encode_message,
-    version_mismatch,
 )
 
 HEARTBEAT_INTERVAL_NS = 100_000_000

@@ -11,6 +11,7 @@ from typing import Any
 
 from shared.datagrams import MAX_DATAGRAM, Opener, Sealer
 from shared.errors import RemoteProtocolError
+from shared.message_codec import decode_robot_message, encode_message
 from shared.messages import (
     AskDatagrams,
     CameraFrame,
@@ -21,8 +22,6 @@ from shared.messages import (
     PictureArrival,
     StationDatagram,
     Stop,
-    decode_robot_message,
-    encode_message,
 )
 from shared.picture_pieces import MESSAGE, PIECE, ArrivingPicture, Assembler
 

@@ -14,6 +14,7 @@ import pytest
 from shared.calibration import Calibration, CameraCalibration, ImuNoise
 from shared.datagrams import Sealer
 from shared.framing import encode_payload
+from shared.message_codec import decode_robot_message, decode_station_datagram, decode_station_message, encode_message
 from shared.messages import (
     PROTOCOL_VERSION,
     AskDatagrams,
@@ -47,10 +48,6 @@ from shared.messages import (
     UndoCalibration,
     UseCalibration,
     Welcome,
-    decode_robot_message,
-    decode_station_datagram,
-    decode_station_message,
-    encode_message,
 )
 from shared.picture_pieces import cut
 

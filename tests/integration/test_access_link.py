@@ -16,6 +16,7 @@ from shared.calibration import REFERENCE_ROBOT
 from shared.certificates import make_identity
 from shared.errors import ConfigError
 from shared.framing import MAX_STATION_PAYLOAD, encode_payload
+from shared.message_codec import encode_message
 from shared.messages import (
     PROTOCOL_VERSION,
     AskDatagrams,
@@ -37,7 +38,6 @@ from shared.messages import (
     UndoCalibration,
     UseCalibration,
     Welcome,
-    encode_message,
 )
 from shared.token_book import TokenBook
 from station.access import paired_robots

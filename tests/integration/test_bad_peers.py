@@ -16,6 +16,7 @@ import robot.commands
 import shared.session
 from shared.calibration import REFERENCE_ROBOT
 from shared.framing import MAX_ROBOT_PAYLOAD, FrameDecoder, encode_payload
+from shared.message_codec import decode_robot_message, encode_message
 from shared.messages import (
     PROTOCOL_VERSION,
     Capabilities,
@@ -29,8 +30,6 @@ from shared.messages import (
     Refusal,
     Stop,
     Welcome,
-    decode_robot_message,
-    encode_message,
 )
 from shared.session import State
 from station.robots.link import RobotLink

@@ -14,7 +14,8 @@ from robot.own_calibration import OwnCalibration
 from shared.access import Role
 from shared.calibration import REFERENCE_ROBOT, Calibration
 from shared.framing import MAX_STATION_PAYLOAD, encode_payload
-from shared.messages import PROTOCOL_VERSION, Join, encode_message
+from shared.message_codec import encode_message
+from shared.messages import PROTOCOL_VERSION, Join
 from station.calibration.target import Target
 from station.datasets import open_dataset
 from station.robots.guided_calibration import CalibrationSession

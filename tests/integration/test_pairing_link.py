@@ -14,14 +14,8 @@ from robot.pairing import CODE_LIFE_S, FILE_NAME, TRIES, PairingCode, PairingDes
 from shared.access import Role, Token
 from shared.certificates import open_identity
 from shared.framing import MAX_STATION_PAYLOAD, encode_payload
-from shared.messages import (
-    PROTOCOL_VERSION,
-    PairProof,
-    PairReply,
-    PairRequest,
-    Refusal,
-    encode_message,
-)
+from shared.message_codec import encode_message
+from shared.messages import PROTOCOL_VERSION, PairProof, PairReply, PairRequest, Refusal
 from shared.pairing import Pake
 from shared.private_files import read_private
 from shared.token_book import TokenBook

@@ -11,7 +11,8 @@ from robot.commands import CommandOrder
 from robot.datagram_path import DatagramPath
 from shared.clock import MAX_CRYSTAL_DRIFT
 from shared.datagrams import KEY_BYTES, Sealer
-from shared.messages import Datagrams, Drive, Stop, encode_message
+from shared.message_codec import encode_message
+from shared.messages import Datagrams, Drive, Stop
 
 MS, S = 1_000_000, 1_000_000_000
 TOLD = Datagrams(session=7, key_to_station=bytes(KEY_BYTES), key_to_robot=bytes(range(KEY_BYTES)))

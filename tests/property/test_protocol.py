@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from shared.calibration import REFERENCE_ROBOT
 from shared.errors import LocalProtocolError, RemoteProtocolError
 from shared.framing import MAX_ROBOT_PAYLOAD, MAX_STATION_PAYLOAD, FrameDecoder, encode_payload
+from shared.message_codec import decode_robot_message, decode_station_message, encode_message
 from shared.messages import (
     MAX_ANGULAR_RAD_S,
     MAX_COUNT,
@@ -45,9 +46,6 @@ from shared.messages import (
     Status,
     Stop,
     Welcome,
-    decode_robot_message,
-    decode_station_message,
-    encode_message,
 )
 from shared.session import Session, State
 from shared.text import is_printable

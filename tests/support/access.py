@@ -20,6 +20,7 @@ from shared.access import Role, Token, prove
 from shared.certificates import make_identity
 from shared.framing import MAX_STATION_PAYLOAD, encode_payload
 from shared.listening import bind
+from shared.message_codec import encode_message
 from shared.messages import (
     PROTOCOL_VERSION,
     CalibrationChanged,
@@ -34,7 +35,6 @@ from shared.messages import (
     Prove,
     Refusal,
     Welcome,
-    encode_message,
 )
 from shared.session import Session
 from shared.token_book import TokenBook

@@ -14,16 +14,8 @@ from shared import serial_protocol as sp
 from shared.calibration import REFERENCE_ROBOT
 from shared.errors import LocalProtocolError, RemoteProtocolError
 from shared.framing import MAX_STATION_PAYLOAD, encode_payload
-from shared.messages import (
-    PROTOCOL_VERSION,
-    Drive,
-    Heartbeat,
-    Join,
-    PanTilt,
-    Stop,
-    Welcome,
-    encode_message,
-)
+from shared.message_codec import encode_message
+from shared.messages import PROTOCOL_VERSION, Drive, Heartbeat, Join, PanTilt, Stop, Welcome
 from shared.session import Session, State
 from tests.support.imu_packets import mag_imu, temperature_c
 from tests.support.paths import ROOT

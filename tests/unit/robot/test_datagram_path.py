@@ -9,7 +9,8 @@ import pytest
 from robot.datagram_path import SILENT_BEATS, DatagramPath
 from robot.parity import Losses
 from shared.datagrams import Opener, Sealer
-from shared.messages import CameraFrame, DatagramReport, Datagrams, PictureArrival, encode_message
+from shared.message_codec import encode_message
+from shared.messages import CameraFrame, DatagramReport, Datagrams, PictureArrival
 from shared.picture_pieces import MAX_PICTURE_BYTES, Assembler, num_pieces
 
 MS = 1_000_000

@@ -10,6 +10,7 @@ from msgspec import inspect
 
 from shared.calibration import REFERENCE_ROBOT
 from shared.errors import RemoteProtocolError
+from shared.message_codec import decode_robot_message, decode_station_message, encode_message
 from shared.messages import (
     PROTOCOL_VERSION,
     CalibrationOrigin,
@@ -21,9 +22,6 @@ from shared.messages import (
     RobotMessage,
     StationMessage,
     Status,
-    decode_robot_message,
-    decode_station_message,
-    encode_message,
 )
 from shared.text import PRINTABLE, is_printable, printable
 
