@@ -7,7 +7,7 @@ import os
 import socket
 import ssl
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 from shared.access import Token
@@ -33,6 +33,7 @@ class Connection:
     writer: asyncio.StreamWriter
     fingerprint: bytes = b""  # of its certificate; empty: no TLS
     token: Token | None = None  # what this station joins with
+    heard: bytes = b""  # what the robot has said already
 
 
 def in_words(error: BaseException, address: str) -> str:
@@ -67,20 +68,27 @@ async def connect(host: str, port: int, robots: PairedRobots | None, *, is_given
     except BaseException:
         connection.writer.transport.abort()
         raise
-    return Connection(connection.reader, connection.writer, connection.fingerprint, known[1])
+    return replace(connection, token=known[1])
 
 
-async def answers(host: str, port: int, robots: PairedRobots | None, *, is_given: bool = True) -> bool:
-    """Whether the robot says a first word on a new connection, which is closed again."""
+async def connect_and_hear(
+    host: str, port: int, robots: PairedRobots | None, *, is_given: bool = True
+) -> Connection | None:
+    """A connection on which the robot has said a first word; None where none is to be had."""
     try:
         async with asyncio.timeout(CONNECT_WITHIN_S):
             connection = await connect(host, port, robots, is_given=is_given)
             try:
-                return bool(await connection.reader.read(1))
-            finally:
+                heard = await connection.reader.read(READ_BYTES)
+            except BaseException:
                 connection.writer.transport.abort()
+                raise
     except (OSError, ConnectionRefused, ConfigError):
-        return False
+        return None
+    if not heard:
+        connection.writer.transport.abort()
+        return None
+    return replace(connection, heard=heard)
 
 
 async def connect_by_tls(host: str, port: int) -> Connection:

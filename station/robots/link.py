@@ -39,8 +39,8 @@ from station.access.connecting import (
     READ_BYTES,
     Connection,
     ConnectionRefused,
-    answers,
     connect,
+    connect_and_hear,
     in_words,
 )
 from station.access.paired_robots import PairedRobots
@@ -91,6 +91,7 @@ class RobotLink:
         self._now_ns = now_ns
         self._robots = robots
         self._connection: Connection | None = None
+        self._other_way: Connection | None = None  # opened when the present one carried nothing, to go on with
         self._datagrams: PictureDatagrams | None = None
         self._retry_s = RETRY_S
         self._session = Session("station", now_ns())
@@ -152,20 +153,27 @@ class RobotLink:
 
     async def run(self) -> None:
         """Connect, and connect again whenever the connection is lost, until cancelled."""
-        while True:
-            was_connected = False
-            self._retry_s = RETRY_S
-            try:
-                search = self._search
-                self._reason = await (self._connect_once() if search is None else self._find_and_connect(search))
-            finally:
-                was_connected, self._connected = self._connected, False
-                self.commands.close()
-                self._rates = RateMeter()  # nothing arrives now
-            if was_connected:
-                logger.warning("robot lost: %s", self._reason)
-                self._listener.on_disconnected(self._reason)
-            await asyncio.sleep(self._retry_s)
+        try:
+            while True:
+                await self._run_once()
+                await asyncio.sleep(self._retry_s)
+        finally:
+            if self._other_way is not None:
+                self._other_way.writer.transport.abort()
+
+    async def _run_once(self) -> None:
+        was_connected = False
+        self._retry_s = RETRY_S
+        search = self._search if self._other_way is None else None
+        try:
+            self._reason = await (self._connect_once() if search is None else self._find_and_connect(search))
+        finally:
+            was_connected, self._connected = self._connected, False
+            self.commands.close()
+            self._rates = RateMeter()  # nothing arrives now
+        if was_connected:
+            logger.warning("robot lost: %s", self._reason)
+            self._listener.on_disconnected(self._reason)
 
     async def _find_and_connect(self, search: RobotSearch) -> str:
         """Try who makes itself known; returns the sentence why there is no connection any longer."""
@@ -184,8 +192,7 @@ class RobotLink:
         """Connect and stay connected; returns the sentence why not any longer."""
         address = show_address(self._host, self._port)
         try:
-            async with asyncio.timeout(CONNECT_WITHIN_S):
-                connection = await connect(self._host, self._port, self._robots, is_given=self._search is None)
+            connection = await self._open()
         except TimeoutError:
             self._retry_s = 0.0  # it has waited long enough; what was lost on the way does not come any more
             return f"no answer from {address}; check that the robot is on and in this network"
@@ -213,7 +220,7 @@ class RobotLink:
         tasks = [
             asyncio.create_task(part)
             for part in (
-                self._read(connection.reader),
+                self._read(connection),
                 self._write(writer),
                 self._tick(),
                 self._look_for_another_way(),
@@ -236,9 +243,18 @@ class RobotLink:
                 raise end
         return self._session.close_reason
 
-    async def _read(self, reader: asyncio.StreamReader) -> None:
-        session = self._session
-        while data := await reader.read(READ_BYTES):
+    async def _open(self) -> Connection:
+        """The way that was opened already, or a new one."""
+        other_way, self._other_way = self._other_way, None
+        if other_way is not None:
+            return other_way
+        async with asyncio.timeout(CONNECT_WITHIN_S):
+            return await connect(self._host, self._port, self._robots, is_given=self._search is None)
+
+    async def _read(self, connection: Connection) -> None:
+        session, heard = self._session, connection.heard
+        while data := heard or await connection.reader.read(READ_BYTES):
+            heard = b""
             self._arrived.add_bytes(len(data), self._now_ns())
             session.receive(data)
             try:
@@ -294,13 +310,15 @@ class RobotLink:
             self._silence.clear()
             while session.state is State.QUIET or self._is_unheard(self._now_ns()):
                 num_bytes = self._arrived.bytes  # half a message that trickles is life enough
-                is_there = await answers(self._host, self._port, self._robots, is_given=self._search is None)
+                way = await connect_and_hear(self._host, self._port, self._robots, is_given=self._search is None)
                 is_silent = session.state is State.QUIET and self._arrived.bytes == num_bytes
-                if is_there and (is_silent or self._is_unheard(self._now_ns())):
-                    self._retry_s = 0.0
+                if way is not None and (is_silent or self._is_unheard(self._now_ns())):
+                    self._retry_s, self._other_way = 0.0, way
                     what = "carries nothing any more" if is_silent else "does not reach the robot any more"
                     session.close(Event.LOST, f"the connection {what}, and the robot answers a new one")
                     raise _Ended
+                if way is not None:
+                    way.writer.transport.abort()
                 await asyncio.sleep(RETRY_S)
 
     def _is_unheard(self, now_ns: int) -> bool:

@@ -123,6 +123,7 @@ async def test_a_dead_connection_is_left_for_one_that_works() -> None:
         await until(lambda: len(notes.hellos) == 2)
         await until(lambda: is_gapless(notes, 10))
         assert "answers a new one" in notes.reasons[0] and notes.gaps == []
+        assert proxy.connections == 2  # what was tried is gone on with
 
 
 async def test_silence_without_a_way_around_it_costs_no_connection() -> None:
