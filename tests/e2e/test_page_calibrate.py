@@ -24,7 +24,12 @@ async def test_a_camera_is_calibrated_on_a_phone_used_and_undone(browser: Browse
         assert await dialog.get_by_role("link", name="Board to print").get_attribute("href") == (
             "/calibration/target.pdf?kind=aprilgrid&size=A4"
         )
-        await dialog.get_by_role("button", name="Begin").click()
+        begin = dialog.get_by_role("button", name="Begin")
+        await begin.click()
+        ruler = dialog.get_by_label("Its ruler measures")
+        await expect(ruler).to_be_focused()  # nothing begins before somebody has measured it
+        await ruler.fill("100")
+        await begin.click()
         finish = dialog.get_by_role("button", name="Finish")
         await expect(finish).to_be_disabled()
         await showing.show_all(desk)
@@ -55,6 +60,7 @@ async def test_stop_can_be_pressed_on_a_phone_while_the_dialog_is_open(browser: 
         await page.locator("#calibrate").click()
         dialog = page.locator("#calibrate-dialog")
         stop = dialog.get_by_role("button", name="STOP")
+        await dialog.get_by_label("Its ruler measures").fill("100")
         for step in ("Begin", "Give up"):
             await expect(dialog.get_by_role("button", name=step)).to_be_visible()
             await expect(stop).to_be_in_viewport(ratio=1)

@@ -16,7 +16,6 @@ const SIZES: [string, string][] = [
   ["Letter", "Letter"],
   [OTHER, "Another board, measured"],
 ];
-const RULER_MM = "100"; // as printed at its true size
 const MEASURED: [string, string][] = [
   ["Columns", "6"],
   ["Rows", "6"],
@@ -37,8 +36,9 @@ export class BoardChoice {
   readonly node: HTMLElement;
   private readonly kind = choice("Board", KINDS);
   private readonly size = choice("Paper", SIZES);
-  private readonly ruler = make("input", { type: "number", step: "any", min: "90", max: "110", value: RULER_MM });
-  private readonly printed = make("label", {}, "Its ruler measures, mm", this.ruler);
+  // Empty until somebody has measured: a guess of 100 would be taken for a length, and the robot's metre with it.
+  private readonly ruler = make("input", { type: "number", step: "any", min: "90", max: "110", required: true });
+  private readonly printed = make("label", {}, "Its ruler measures, mm (100 if printed true)", this.ruler);
   private readonly measured = MEASURED.map(([, value]) =>
     make("input", { type: "number", step: "any", min: "1", required: true, value }),
   );
@@ -53,7 +53,7 @@ export class BoardChoice {
     if (kept) {
       this.kind.select.value = kept.kind;
       this.size.select.value = kept.size;
-      this.ruler.value = kept.ruler ?? RULER_MM;
+      this.ruler.value = kept.ruler ?? "";
       this.measured.forEach((input, i) => (input.value = kept.measured[i] ?? input.value));
     }
     const fields = make("div", { class: "fields" }, this.kind.label, this.size.label, this.printed);
@@ -61,6 +61,12 @@ export class BoardChoice {
     for (const input of [this.kind.select, this.size.select, this.ruler, ...this.measured])
       input.addEventListener("change", () => this.changed());
     this.refresh();
+  }
+
+  /** Whether every length is given that is asked for; the browser points at the first that is not. */
+  isMeasured(): boolean {
+    const asked = this.size.select.value === OTHER ? this.measured : [this.ruler];
+    return asked.every((input) => input.reportValidity());
   }
 
   /** As POST /calibration/sessions wants it. */

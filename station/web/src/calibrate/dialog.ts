@@ -129,15 +129,17 @@ export class CalibrateDialog {
     const asked = () => what.select.value as Kind;
     const refresh = () => {
       const guided = GUIDED[asked()];
-      const printing = make("li", {}, "Print the board at 100 %, and check the ruler on it. ", board.print);
+      const printing = make("li", {}, "Print the board at 100 %, and measure the ruler on it. ", board.print);
       show(board.node, guided.looks);
       steps.replaceChildren(...present(guided.looks && printing, ...guided.steps.map((step) => make("li", {}, step))));
     };
     what.select.addEventListener("change", refresh);
     refresh();
-    const begin = () => {
-      const target = GUIDED[asked()].looks ? board.target : null;
-      return this.change(() => call("POST", "/calibration/sessions", { kind: asked(), target }));
+    const begin = async () => {
+      const { looks } = GUIDED[asked()];
+      if (looks && !board.isMeasured()) return;
+      const target = looks ? board.target : null;
+      await this.change(() => call("POST", "/calibration/sessions", { kind: asked(), target }));
     };
     return [
       ...(this.told ? presentOf(this.told) : []),
