@@ -11,6 +11,9 @@ from tests.e2e.conftest import PHONE, Room
 from tests.support.board_bench import BUILT, TOLD, before_a_board
 from tests.support.station import Film
 
+# More shades than black and its opacity.
+IS_DRAWN = "canvas => new Set(canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data).size > 2"
+
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(900), pytest.mark.asyncio(loop_scope="module")]
 
 
@@ -24,6 +27,9 @@ async def test_a_camera_is_calibrated_on_a_phone_used_and_undone(browser: Browse
         assert await dialog.get_by_role("link", name="Board to print").get_attribute("href") == (
             "/calibration/target.pdf?kind=aprilgrid&size=A4"
         )
+        picture = dialog.get_by_role("img", name="The live picture")  # its lens is turned sharp before it
+        await expect(picture).to_be_visible()
+        await page.wait_for_function(IS_DRAWN, arg=await picture.element_handle())
         begin = dialog.get_by_role("button", name="Begin")
         await begin.click()
         ruler = dialog.get_by_label("Its ruler measures")

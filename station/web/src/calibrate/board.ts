@@ -37,8 +37,15 @@ export class BoardChoice {
   private readonly kind = choice("Board", KINDS);
   private readonly size = choice("Paper", SIZES);
   // Empty until somebody has measured: a guess of 100 would be taken for a length, and the robot's metre with it.
-  private readonly ruler = make("input", { type: "number", step: "any", min: "90", max: "110", required: true });
-  private readonly printed = make("label", {}, "Its ruler measures, mm (100 if printed true)", this.ruler);
+  private readonly ruler = make("input", {
+    type: "number",
+    step: "any",
+    min: "90",
+    max: "110",
+    required: true,
+    placeholder: "100?",
+  });
+  private readonly printed = make("label", {}, "Its ruler measures, mm", this.ruler);
   private readonly measured = MEASURED.map(([, value]) =>
     make("input", { type: "number", step: "any", min: "1", required: true, value }),
   );

@@ -35,7 +35,7 @@ export class CalibrateDialog {
   ) {
     by("calibrate").addEventListener("click", () => attempt(() => this.open()));
     const followPicture = () => {
-      if (this.dialog.open && this.session?.state === "looking") this.drawPicture();
+      if (this.dialog.open) this.drawPicture();
       requestAnimationFrame(followPicture);
     };
     requestAnimationFrame(followPicture);
@@ -126,11 +126,13 @@ export class CalibrateDialog {
     what.select.value = chosen;
     const board = new BoardChoice();
     const steps = make("ol", { class: "steps" });
+    const sharp = picture("The live picture"); // the dialog hides it elsewhere, and the lens is turned by it
     const asked = () => what.select.value as Kind;
     const refresh = () => {
       const guided = GUIDED[asked()];
       const printing = make("li", {}, "Print the board at 100 %, and measure the ruler on it. ", board.print);
       show(board.node, guided.looks);
+      show(sharp, asked() === "camera");
       steps.replaceChildren(...present(guided.looks && printing, ...guided.steps.map((step) => make("li", {}, step))));
     };
     what.select.addEventListener("change", refresh);
@@ -147,6 +149,7 @@ export class CalibrateDialog {
       make("div", { class: "fields" }, what.label),
       board.node,
       steps,
+      sharp,
       this.buttons(this.closing(), this.undoing(), this.button("Begin", begin, "primary")),
     ];
   }
@@ -157,14 +160,7 @@ export class CalibrateDialog {
     const guided = GUIDED[session.kind];
     return present(
       make("p", { class: "instruction", role: "status", "aria-live": "polite" }, guided.beginning),
-      guided.looks &&
-        make("canvas", {
-          class: "board",
-          width: "640",
-          height: "480",
-          role: "img",
-          "aria-label": "The board, as seen",
-        }),
+      guided.looks && picture("The board, as seen"),
       make("div", { class: "progress-of" }),
       session.kind === "wheels" && this.pad,
       this.buttons(
@@ -189,7 +185,8 @@ export class CalibrateDialog {
   private drawPicture(): void {
     const canvas = this.dialog.querySelector("canvas.board");
     if (canvas instanceof HTMLCanvasElement) {
-      drawLooking(context2d(canvas, { alpha: false }), this.video, this.session?.seen ?? null);
+      const seen = this.session?.state === "looking" ? this.session.seen : null;
+      drawLooking(context2d(canvas, { alpha: false }), this.video, seen);
     }
   }
 
@@ -295,4 +292,8 @@ function find<T extends HTMLElement>(node: HTMLElement, selector: string, kind: 
   const found = node.querySelector(selector);
   if (!(found instanceof kind)) throw new Error(`the dialog has no ${selector}`);
   return found;
+}
+
+function picture(label: string): HTMLCanvasElement {
+  return make("canvas", { class: "board", width: "640", height: "480", role: "img", "aria-label": label });
 }
