@@ -16,9 +16,10 @@ if [ $# -gt 0 ]; then
   exec $bin/pytest -m "not hardware" "$@"
 fi
 
-# Four processes side by side, so that one computes while another waits. Whole robots go by the clock, and are judged by
+# Five processes side by side, so that one computes while others wait. Whole robots go by the clock, and are judged by
 # how often they know their place in time: all else gives way to them, and what only computes to all. Browsers come after
-# them. What those in the background say comes when the one that is seen has ended.
+# them. Sockets are most of the tests and mostly wait: two halves. What those in the background say comes when the one
+# that is seen has ended.
 run=($bin/pytest --durations=15)
 by_the_clock="not hardware and not computing"
 said=$(mktemp -d)
@@ -38,8 +39,9 @@ beside robots_then_browsers "${run[@]}"
 beside nice -n 19 "${run[@]}" -m "not hardware and computing" tests/golden tests/property tests/integration tests/e2e
 # One after the other: both would install what checks the page.
 beside nice -n 19 bash -c 'scripts/lint.sh && exec "$@"' lint "${run[@]}" -m "not hardware and computing" tests/unit
+beside nice "${run[@]}" -m "$by_the_clock and not slow" tests/integration/test_[a-k]*.py
 failed=0
-nice "${run[@]}" -m "$by_the_clock and not slow" tests/integration || failed=$?
+nice "${run[@]}" -m "$by_the_clock and not slow" tests/integration/test_[!a-k]*.py || failed=$?
 for i in "${!pids[@]}"; do
   wait "${pids[i]}" || failed=$?
   cat "$said/$i"

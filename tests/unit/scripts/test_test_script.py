@@ -42,17 +42,19 @@ def run(
     )  # fmt: skip
 
 
-def test_every_test_is_in_one_of_four_processes(folder: Path) -> None:
+def test_every_test_is_in_one_of_five_processes(folder: Path) -> None:
     result = run(folder)
     assert result.returncode == 0, result.stderr
     assert [line for line in result.stdout.splitlines() if line.startswith("pytest")] == [
-        "pytest --durations=15 -m not hardware and not computing and not slow tests/integration",
+        "pytest --durations=15 -m not hardware and not computing and not slow tests/integration/test_[!a-k]*.py",
         "pytest --durations=15 -p no:cacheprovider -m not hardware and not computing and slow tests/integration"
         " tests/e2e",
         "pytest --durations=15 -p no:cacheprovider -m not hardware and not computing and not slow tests/e2e",
         "pytest --durations=15 -m not hardware and computing tests/golden tests/property tests/integration tests/e2e"
         " -p no:cacheprovider",
         "pytest --durations=15 -m not hardware and computing tests/unit -p no:cacheprovider",
+        "pytest --durations=15 -m not hardware and not computing and not slow tests/integration/test_[a-k]*.py"
+        " -p no:cacheprovider",
     ]
     folders = {path.relative_to(ROOT / "tests").parts[0] for path in (ROOT / "tests").glob("*/**/test_*.py")}
     assert folders == {"integration", "e2e", *COMPUTING} and {"golden", "property", "unit"} == COMPUTING
@@ -61,12 +63,12 @@ def test_every_test_is_in_one_of_four_processes(folder: Path) -> None:
 
 @pytest.mark.parametrize(
     "failing",
-    ["not slow tests/integration", "computing and slow", "not slow tests/e2e", "tests/golden", "tests/unit"],
+    ["test_[!a-k]*.py", "test_[a-k]*.py", "computing and slow", "not slow tests/e2e", "tests/golden", "tests/unit"],
 )
 def test_a_failure_in_any_of_them_fails_the_whole_and_all_are_shown(folder: Path, failing: str) -> None:
     result = run(folder, failing=failing)
     assert result.returncode == 1
-    assert [line.split()[0] for line in result.stdout.splitlines()].count("pytest") == 5
+    assert [line.split()[0] for line in result.stdout.splitlines()].count("pytest") == 6
 
 
 LINT = ("ruff format", "ruff check", "bandit", "mypy", "lint-imports", "python station/web/build_hook.py --check")
