@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import stat
 import tomllib
 from io import BufferedReader
@@ -27,6 +28,7 @@ MAX_LINE_BYTES = 64 * 1024
 MAX_RATIO = 32
 FREE_BYTES = 32 * MB
 SHOWN_CHARACTERS = 80
+MAX_KEY_PARTS = 32  # of TOML; our files have four
 
 _KINDS = {
     stat.S_IFIFO: "it is a pipe, no file",
@@ -111,6 +113,10 @@ class Unpacking:
             raise Refused(f"it unpacks to more than {_megabytes(self._allowed)}, which is too much for its size")
 
 
+# Of a dotted key, at its beginning: tomllib notes for each part all those before it, which of 16,000 fills a gigabyte.
+_LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++\s*+\.\s*+){{{MAX_KEY_PARTS}}}""")
+
+
 def parse_json(text: str | bytes) -> Any:
     """As json.loads. Raises ValueError, also where it nests too deep."""
     try:
@@ -121,6 +127,8 @@ def parse_json(text: str | bytes) -> Any:
 
 def parse_toml(text: str) -> dict[str, Any]:
     """As tomllib.loads. Raises ValueError, also where it nests too deep."""
+    if _LONG_KEY.search(text):
+        raise ValueError(f"a dotted name in it has more than {MAX_KEY_PARTS} parts")
     try:
         return tomllib.loads(text)
     except RecursionError as exc:

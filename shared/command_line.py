@@ -10,6 +10,7 @@ import typer
 
 from shared.advice import complete
 from shared.errors import RobotSystemError
+from shared.text import printable
 
 # Typer carries its own copy of Click, so the base of its mistakes in usage has no public name of its own.
 USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]
@@ -26,7 +27,7 @@ def run_program(app: typer.Typer, name: str) -> None:
     except USAGE_ERROR as exc:
         sys.exit(_refuse(exc, name))
     except RobotSystemError as exc:
-        print(f"{name}: {complete(str(exc), name, _where(sys.argv))}", file=sys.stderr)
+        print(f"{name}: {printable(complete(str(exc), name, _where(sys.argv)))}", file=sys.stderr)  # files are quoted
         sys.exit(1)
     except OSError as exc:
         if exc.errno not in UNWRITABLE:

@@ -22,8 +22,9 @@ from mcap.stream_reader import CRCValidationError
 from zstandard import ZstdError
 
 from shared.bounded import Refused, open_file, shown
-from shared.errors import DataError, RobotSystemError
+from shared.errors import DataError
 from shared.mcap_records import bounded_records
+from shared.message_codec import UNDECODABLE
 from shared.messages import Hello
 from shared.recorded_files import MAX_EXPOSURE_NS, MAX_TIME_NS
 from shared.text import explain
@@ -91,7 +92,7 @@ class McapContent:
         """False when the robot was started anew: what follows has another clock."""
         try:
             hello = msgspec.msgpack.decode(base64.b64decode(content["msgpack_base64"]), type=Hello)
-        except (msgspec.DecodeError, RobotSystemError, ValueError, KeyError) as exc:
+        except (*UNDECODABLE, KeyError) as exc:
             raise DataError(f"{path}: {HELLO_TOPIC} cannot be read ({explain(exc)}); the file is damaged") from exc
         if self.hello is not None and self.hello.session_id != hello.session_id:
             logger.warning("%s: robot-server was restarted during the recording; what came after is left out", path)

@@ -53,7 +53,7 @@ logger = logging.getLogger(__name__)
 
 REST_S = 0.05  # the thread takes all that came meanwhile: woken by each message it would take turns with the event loop
 CHUNK_BYTES = 512 * 1024  # about a third of a second of video
-MAX_WAITING_FRAMES = 120  # some seconds between the event loop and the disk; then frames are dropped, counted
+MAX_WAITING_FRAMES = 120  # and depth; some seconds between event loop and disk; then they are dropped, and counted
 MAX_LATE = 20_000  # IMU batches and reports are never dropped; a disk that is minutes behind ends the recording
 CLOSE_WITHIN_S = 60.0  # a disk that hangs must not keep the station from ending
 MIN_FREE_BYTES = 256 * 1024 * 1024  # the disk also holds the maps: stop in time, with a proper end of the file
@@ -169,10 +169,8 @@ class Recorder:
         self._put(LINK_TOPIC, None, {"connected": False, "reason": reason})
 
     def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
-        if self._frames_taken - self._frames_written >= MAX_WAITING_FRAMES:
-            self._frames_dropped += 1
+        if not self._takes_a_frame():
             return
-        self._frames_taken += 1
         content = {
             "timestamp": time_of(frame.t_robot_ns),
             "seq": frame.seq,
@@ -192,8 +190,17 @@ class Recorder:
         self._put(GAP_TOPIC, None, {"num_samples": num_samples})
 
     def on_depth(self, depth: Depth) -> None:
+        if not self._takes_a_frame():
+            return
         image = encode_image(depth.t_robot_ns, depth.png, frame_id="depth", kind="png")
         self._put(DEPTH_TOPIC, depth.t_robot_ns, image)
+
+    def _takes_a_frame(self) -> bool:
+        if self._frames_taken - self._frames_written >= MAX_WAITING_FRAMES:
+            self._frames_dropped += 1
+            return False
+        self._frames_taken += 1
+        return True
 
     def on_drive_applied(self, applied: DriveApplied) -> None:
         content = {
@@ -293,7 +300,7 @@ class Recorder:
             for entry in (arrival,) if isinstance(arrival, _Entry) else arrival.entries():
                 self._messages += 1
                 self._written_ns = max(self._written_ns, entry.t_station_ns)
-                self._frames_written += entry.topic == IMAGE_TOPIC
+                self._frames_written += entry.topic in (IMAGE_TOPIC, DEPTH_TOPIC)
                 content = entry.content if isinstance(entry.content, bytes) else msgspec.json.encode(entry.content)
                 writer.add_message(
                     channel_id=channels[entry.topic],

@@ -23,6 +23,7 @@ from station.files.npz import UNREADABLE, open_arrays, read_array
 from station.places.naming.room_words import MAX_PHRASE, RoomWords
 
 MAX_LIST_BYTES, MAX_EMBEDDING_BYTES = 1_000_000, 200_000_000
+MAX_DIMENSIONS = 16_384  # of an embedding: the widest encoders give some 4,000
 MAX_LABELS = 30_000  # the largest lists of classes have 22,000
 CLIP_SCALE = 100.0  # of cosines, before the softmax: what CLIP and its kin have learned (Radford et al., 2021, 2.5)
 BOX = 4  # numbers of a box before its scores: YOLOv8 and what came after it
@@ -168,11 +169,16 @@ def _read_embeddings(path: Path, names: Path | None) -> tuple[list[str], FloatAr
                 array, written = read_array(file), None
             else:
                 with open_arrays(file) as arrays:
+                    with arrays.open("embeddings") as (header, _):
+                        if header.num_bytes > MAX_EMBEDDING_BYTES:  # packed they may be small
+                            raise Refused(f"its embeddings have more than {MAX_EMBEDDING_BYTES / 1e6:.0f} MB")
                     array = arrays.read("embeddings")
                     written = arrays.read("names") if names is None else None
     except UNREADABLE as exc:
         what = exc.strerror if isinstance(exc, OSError) and exc.strerror else "it is damaged, or another kind of file"
         raise DataError(f"{path} cannot be read ({what}); give an .npz with arrays `names` and `embeddings`") from exc
+    if array.ndim == 2 and array.shape[1] > MAX_DIMENSIONS:
+        raise DataError(f"{path}: an embedding has {array.shape[1]} numbers; at most {MAX_DIMENSIONS} are read")
     if array.dtype.kind != "f":
         raise DataError(f"{path}: the embeddings are no floating-point numbers")
     return (_read_list(names) if names is not None else _checked(_texts(written, path), path)), array.astype(np.float64)

@@ -98,8 +98,8 @@ def _complaints(words: RoomWords) -> Iterator[str]:
             yield f'the name "{word.name[:MAX_NAME]}" needs 1 to {MAX_NAME} characters that can be shown'
     phrases = [*words.nothing.looks_like, *(p for word in words.rooms for p in (*word.written, *word.looks_like))]
     for phrase in phrases:
-        if not 0 < len(phrase) <= MAX_PHRASE:
-            yield f'"{phrase[:40]}" needs 1 to {MAX_PHRASE} characters'
+        if not 0 < len(phrase) <= MAX_PHRASE or not is_printable(phrase):
+            yield f'"{phrase[:40]}" needs 1 to {MAX_PHRASE} characters that can be shown'
     spelled: dict[str, str] = {}
     for word in words.rooms:
         for text in {_folded(s) for s in (*word.written, word.name)}:

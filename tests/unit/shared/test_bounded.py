@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import errno
 import io
+import json
 import os
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from robot.config import read_toml
 from robot.devices.recorded.recording import open_recording
@@ -110,6 +113,30 @@ def test_what_is_unpacked_is_counted_as_a_whole() -> None:
 def test_nesting_without_end_is_a_value_error(parse: Callable[[str], object]) -> None:
     with pytest.raises(ValueError, match="too deep"):
         parse(("a = " if parse is parse_toml else "") + "[" * 100_000)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        ".".join(["a"] * 16_000) + " = 1",
+        f"[{'a . ' * 16_000}a]",
+        '"a".' * 16_000 + "a = 1",
+        "x = {" + "a." * 99 + "a = 1}",
+    ],
+)
+def test_a_key_of_parts_without_end_is_refused_before_it_is_read(text: str) -> None:
+    with pytest.raises(ValueError, match="more than 32 parts"):
+        parse_toml(text)
+
+
+@given(st.lists(st.sampled_from(["a", "b-c", '"d.e"', "'f'"]), min_size=1, max_size=8), st.text("ab. '\"", max_size=60))
+def test_keys_and_texts_of_usual_lengths_are_read(parts: list[str], text: str) -> None:
+    written = json.dumps(text)  # a string of TOML, too
+    assert parse_toml(f"{' . '.join(parts)} = 1") and parse_toml(f"a = {written}") == {"a": text}
+
+
+def test_a_long_word_is_no_key() -> None:
+    assert parse_toml(f"a = '{'x' * 900_000}'")["a"].count("x") == 900_000
 
 
 def test_settings_that_nest_without_end_are_refused(tmp_path: Path) -> None:

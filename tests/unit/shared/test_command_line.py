@@ -10,6 +10,7 @@ import typer
 from robot.main import main as robot_main
 from robot.simulation.cli import main as simulation_main
 from shared.command_line import run_program
+from shared.errors import DataError
 from station.main import main as station_main
 
 
@@ -86,3 +87,17 @@ def test_a_full_disk_gets_one_sentence(monkeypatch: pytest.MonkeyPatch, capsys: 
     assert end_of(lambda: run_program(app, "station"), [], monkeypatch) == 1
     said = capsys.readouterr().err
     assert said.startswith("station: ") and "make room" in said and said.count("\n") == 1
+
+
+def test_what_a_file_holds_reaches_no_terminal_as_it_is(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    app = typer.Typer()
+
+    @app.command()
+    def read() -> None:
+        raise DataError("words.toml: \x1b[31mred\u202e is no room")
+
+    assert end_of(lambda: run_program(app, "station"), [], monkeypatch) == 1
+    said = capsys.readouterr().err
+    assert "red" in said and said.rstrip("\n").isprintable()

@@ -41,6 +41,14 @@ def stamped(seconds: object, **content: Any) -> bytes:
     return json.dumps({"timestamp": {"sec": seconds, "nsec": 0}, **content}).encode()
 
 
+DEEP = json.dumps({"msgpack_base64": base64.b64encode(b"\x81\xa1a" * 200_000 + b"\xc0").decode()}).encode()
+
+
+def test_a_hello_that_nests_without_end_is_damage_and_no_traceback(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="cannot be read"):
+        McapContent(recording_of(tmp_path / "a.mcap", HELLO_TOPIC, DEEP))
+
+
 @pytest.mark.parametrize(
     ("topic", "data"),
     [

@@ -24,6 +24,7 @@ from shared.errors import DataError
 from shared.mcap_recording import IMAGE_TOPIC, IMU_TOPIC
 from shared.messages import (
     CameraFrame,
+    Depth,
     DriveApplied,
     ImuBatch,
     ImuSample,
@@ -32,7 +33,7 @@ from station.datasets import open_dataset
 from station.events import LogLine
 from station.model.place_answer import PlaceAnswer, PlaceCandidate, PlaceReport, RoomCandidate
 from station.model.slam_update import SlamUpdate
-from station.recordings.recorder import Recorder
+from station.recordings.recorder import MAX_WAITING_FRAMES, Recorder
 from tests.support.datasets import frames_of, imu_of
 from tests.support.memory import grown_bytes
 from tests.support.recordings import HELLO, START_NS, batch, frame, record
@@ -150,6 +151,29 @@ def test_closing_does_not_wait_for_a_disk_that_hangs(
     assert "did not take what waited within 0 s" in recorder.close(within_s=0.0).error
     disk_works.set()
     recorder.close()
+
+
+def test_depth_that_the_disk_does_not_take_is_dropped_as_pictures_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk_works = threading.Event()
+    start = Writer.start
+
+    def late_start(*arguments: Any, **more: Any) -> None:
+        disk_works.wait(60)
+        start(*arguments, **more)
+
+    monkeypatch.setattr(Writer, "start", late_start)
+    recorder = Recorder(tmp_path / "d.mcap", min_free_bytes=0)
+    recorder.on_connected(HELLO)
+    for n in range(300):
+        recorder.on_depth(Depth(seq=n, t_robot_ns=n, png=bytes(1000)))
+    assert recorder.report.frames_dropped == 300 - MAX_WAITING_FRAMES
+    disk_works.set()
+    while recorder.report.messages < MAX_WAITING_FRAMES and not recorder.error:
+        time.sleep(0.01)  # until the disk is not behind any more
+    recorder.on_depth(Depth(seq=300, t_robot_ns=300, png=bytes(1000)))
+    assert recorder.close().frames_dropped == 300 - MAX_WAITING_FRAMES
 
 
 def test_a_disk_that_is_too_far_behind_still_gets_what_was_accepted(

@@ -107,6 +107,8 @@ def test_files_that_cannot_be_used_are_refused_in_a_sentence(tmp_path: Path) -> 
     np.savez(tmp_path / "numbers.npz", names=np.arange(2), embeddings=np.eye(2))
     np.savez(tmp_path / "fewer.npz", names=np.array(["oven"]), embeddings=np.eye(2))
     np.savez(tmp_path / "zero.npz", names=np.array(["oven", "sink"]), embeddings=np.zeros((2, 2)))
+    np.savez(tmp_path / "wide.npz", names=np.array(["oven"]), embeddings=np.ones((1, 20_000), np.float16))
+    np.savez_compressed(tmp_path / "packed.npz", names=np.array(["oven"]), embeddings=np.ones((1, 110_000_000), "f2"))
     np.savez(tmp_path / "foreign.npz", names=np.array(["dog", "cat"]), embeddings=np.eye(2))
     labels = listed(tmp_path, "oven", "sink")
     beyond = np.frombuffer(np.array([0x110000, 65], "<u4").tobytes(), "<U1")
@@ -123,6 +125,8 @@ def test_files_that_cannot_be_used_are_refused_in_a_sentence(tmp_path: Path) -> 
         ("numbers.npz", "no row of texts"),
         ("fewer.npz", "one row a name"),
         ("zero.npz", "without direction"),
+        ("wide.npz", "20000 numbers"),
+        ("packed.npz", "another kind of file|more than"),
         ("foreign.npz", "nothing that a room word looks like"),
     ):
         with pytest.raises(DataError, match=words) as caught:

@@ -50,6 +50,9 @@ def test_every_shipped_word_says_what_it_looks_like() -> None:
         ("[[rooms]]\nname = ' '", "1 to 80 characters"),
         ("[[rooms]]\nname = 'Kitchen'\nlooks_like = ['']", "1 to 300 characters"),
         ("[[rooms]]\nname = 'A'\nwritten = ['x']\n[[rooms]]\nname = 'X'", "written for A and for X"),
+        ("[[rooms]]\nname = 'K'\nwritten = ['\u202eK']", "can be shown"),
+        ('[[rooms]]\nname = "K"\nlooks_like = ["\\u001b[31m"]', "can be shown"),
+        (".".join("a" * 16_000) + " = 1", "more than 32 parts"),
         ("x = '" + "a" * 1_000_001 + "'", "more than"),
     ],
 )
