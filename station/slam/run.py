@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import logging
 import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from shared.errors import DataError
 from station.model.frames import DepthFrame, DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation
 from station.model.slam_update import SlamUpdate
 from station.slam.backend import SlamBackend
 from station.slam.mapping.depth import DepthLog, with_depth
+
+logger = logging.getLogger(__name__)
 
 Events = Iterator[ImuBatch | DriveSample | DepthFrame | ImageFrame]
 
@@ -39,7 +43,10 @@ def run_backend(
         elif isinstance(event, ImuBatch):
             backend.add_imu(event)
         elif isinstance(event, DepthFrame):
-            depth.add(event)
+            try:
+                depth.add(event)
+            except DataError as exc:  # the images make a map without it
+                logger.warning("%s; it is left out", exc)
         else:
             backend.add_drive(event)
     if before_finish is not None:

@@ -119,6 +119,16 @@ def test_no_backend_sees_depth_and_without_it_no_bit_is_another() -> None:
     assert metric.is_metric and metric.depth is not None
 
 
+def test_a_damaged_depth_picture_of_a_recording_is_left_out_and_told(caplog: pytest.LogCaptureFixture) -> None:
+    T, sensor = way(), depth_camera()
+    pictures = frames(sensor, T)
+    whole, beside = (Made(map_of(T, 0.5)) for _ in range(2))
+    without = run_backend(whole, iter([*pictures[:3], *pictures[4:]]))
+    damaged = run_backend(beside, iter([*pictures[:3], replace(pictures[3], encoded=b"no picture"), *pictures[4:]]))
+    assert damaged.id == without.id and damaged.is_metric
+    assert [r.message.endswith("; it is left out") for r in caplog.records] == [True]
+
+
 def test_the_worker_of_a_running_robot_does_the_same() -> None:
     T, sensor = way(), depth_camera()
     slam = NavigationSlam(lambda _: None)
