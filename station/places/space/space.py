@@ -3,8 +3,10 @@
 A camera sees through free space up to the landmarks that it observes. So every keyframe carves a star of free cells
 over the ground, and what several keyframes carved is free. A map knows the free space that its navigation's path
 reaches without squeezing through what the path itself never passed: behind the door of a room that was only looked
-into, it ends. Where nobody knows the map's scale, lengths follow how far its cameras saw; where nobody measured
-gravity, the ground follows how its cameras were held (`making/scale.py`): the boundary turns and scales with the map.
+into, it ends. No room hides in what is narrower than a passage between parts that are known, such as the gap between
+two ways along which the camera looked ahead. Where nobody knows the map's scale, lengths follow how far its cameras
+saw; where nobody measured gravity, the ground follows how its cameras were held (`making/scale.py`): the boundary turns
+and scales with the map.
 """
 
 from __future__ import annotations
@@ -67,9 +69,10 @@ class Space:
         driven = _within(on_path, DRIVEN_M * metre / cell)
         free = (seen >= SEEN_BY) | driven
         at_hand_m = AT_HAND_M if has_wheels else CARRIED_AT_HAND_M
-        reached = _reached(free, driven, 0.5 * PASSAGE_M * metre / cell)
+        half_passage = 0.5 * PASSAGE_M * metre / cell
+        reached = _reached(free, driven, half_passage)
         known = reached | driven | (_within(on_path, at_hand_m * metre / cell) & (seen < SEEN_BY))
-        return cls(R_ground_map, low, cell, free, driven, known, seen)
+        return cls(R_ground_map, low, cell, free, driven, _closed(known, half_passage), seen)
 
     def knows(self, p_map: FloatArray) -> Cells:
         """(n,) whether positions (n, 3) lie where the map knows its way."""
@@ -100,3 +103,11 @@ def _reached(free: Cells, driven: Cells, radius: float) -> Cells:
     labels, _ = ndimage.label(wide, np.ones((3, 3)))
     entered = np.unique(labels[driven & wide])
     return np.asarray(free & _within(np.isin(labels, entered) & wide, radius + 1.0), dtype=np.bool_)
+
+
+def _closed(cells: Cells, radius: float) -> Cells:
+    """Those cells, and all others that no disc of this radius (cells) covers without touching one of them."""
+    margin = int(radius) + 2  # the disc fits beside all of them
+    outside = ndimage.distance_transform_edt(~np.pad(cells, margin)) > radius
+    closed = ndimage.distance_transform_edt(~outside) > radius
+    return np.asarray(cells | closed[margin:-margin, margin:-margin], dtype=np.bool_)

@@ -39,6 +39,22 @@ def test_of_a_corridor_driven_one_way_is_known_what_was_seen_or_is_at_hand() -> 
     assert not space.knows(np.array([[1.0, 2.8, 0.0], [0.5, 1.0, 0.0]])).any()  # beside the camera all the time
 
 
+def two_ways(apart_m: float) -> Space:
+    """Of a hall driven through to and fro along two ways this far from each other, by a camera that sees 5 degrees."""
+    x = np.linspace(0.5, 3.5, 40)
+    y = np.concatenate([np.full(40, 2.0), np.full(40, 2.0 + apart_m)])
+    hall = mapped(np.column_stack([np.tile(x, 2), y]), np.zeros(80), walls())
+    return Space.of(hall.navigation)
+
+
+def test_a_gap_that_is_narrower_than_a_passage_hides_no_room() -> None:
+    def between(apart_m: float) -> FloatArray:
+        return np.array([[0.6, 2.0 + 0.5 * apart_m, 0.0]])  # beside the camera on both ways
+
+    assert two_ways(1.2).knows(between(1.2)).all()
+    assert not two_ways(2.6).knows(between(2.6)).any()
+
+
 def moved(navigation: Navigation, T: FloatArray, report: NavigationReport) -> Navigation:
     """The same in another frame and scale: a similarity T (4, 4)."""
     keyframes, trajectory = navigation.keyframes, navigation.trajectory
