@@ -37,7 +37,7 @@ from station.model.frames import ImageArray, ImageFrame
 from station.model.navigation import Trajectory
 from station.slam.backends import make_backend
 from station.slam.mono.backend import MonoBackend
-from station.slam.mono.config import FilterConfig, SearchConfig
+from station.slam.mono.config import MonoConfig
 from station.slam.mono.filter import MonoFilter
 from station.slam.run import run_backend
 from station.vision.lens import Lens
@@ -80,7 +80,7 @@ def points_run(seed: int, seconds: float) -> dict[str, Any]:
     assert calibration.camera is not None
     lens = Lens(calibration.camera)
     finder = PointFinder(lens, room_points(path.T_world_body[:, :3, 3], seed), 1.0, seed)
-    mono = MonoFilter(lens, FilterConfig())
+    mono = MonoFilter(lens, MonoConfig())
     T_first_world, found, nees = inverse(path.T_world_body[0]), [], []
     for k, T_world_cam in enumerate(path.T_world_body):
         finder.look_from(T_world_cam)
@@ -106,7 +106,7 @@ def rendered_run(seed: int, seconds: float, figure: Path | None) -> dict[str, An
             truth = T_first_world @ path.T_world_body[k]
             mono = backend.filter if is_first_piece else None  # none: lost, which no band holds
             nees.append(np.inf if mono is None else pose_nees(mono.state, truth))
-            measured.append(backend.last.num_tried)
+            measured.append(len(backend.last.expected.rows))
         if figure is not None and k in PICTURED:
             pictures.append(with_ellipses(frame, backend))
     if figure is not None:
@@ -132,7 +132,7 @@ def with_ellipses(frame: ImageFrame, backend: MonoBackend) -> ImageArray:
     expected, found = backend.last.expected, set(backend.last.ids[: backend.last.num_found].tolist())
     for row, uv, S in zip(expected.rows, expected.uv_px / 2, expected.ellipses() / 4, strict=True):
         lengths, axes = np.linalg.eigh(S)
-        box = (*uv.tolist(),), (*(2 * SearchConfig().gate_sigmas * np.sqrt(lengths)).tolist(),)
+        box = (*uv.tolist(),), (*(2 * MonoConfig().gate_sigmas * np.sqrt(lengths)).tolist(),)
         angle = float(np.degrees(np.arctan2(axes[1, 0], axes[0, 0])))
         colour = GREEN if int(backend.last.predicted.ids[row]) in found else RED
         cv2.ellipse(image, (*box, angle), colour, 1, cv2.LINE_AA)

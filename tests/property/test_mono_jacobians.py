@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shared.geometry import FloatArray, so3_exp, so3_log
-from station.slam.mono.config import FilterConfig
+from station.slam.mono.config import MonoConfig
 from station.slam.mono.measurement import Predicted, angles_of, bearing, bearing_by_angles, first_seen, predict, to_xyz
 from station.slam.mono.motion import ATTITUDE, CAMERA, POSE, POSITION, TURN, VELOCITY, first_camera, move
 from station.slam.mono.state import State
@@ -135,7 +135,7 @@ def test_first_view_derivatives_are_those_of_c2(seed: int) -> None:
 @settings(max_examples=20, deadline=None)
 def test_a_new_feature_is_as_uncertain_as_its_pixel_and_its_camera_are(seed: int) -> None:
     """C.2: covariance by the derivatives of the first view."""
-    rng, lens, config = np.random.default_rng(seed), hand_held_lens(), FilterConfig()
+    rng, lens, config = np.random.default_rng(seed), hand_held_lens(), MonoConfig()
     uv = rng.uniform([100, 100], [540, 380], (1, 2))
     x, P = first_camera(config)
     x[POSITION], R = rng.normal(size=3), so3_exp(rng.normal(0.0, 0.3, 3))

@@ -25,6 +25,7 @@ from station.vision.lens import BoolArray, Lens
 
 RATE_HZ = 30.0
 FRONT_M, FAR_M = 0.3, 25.0  # what is nearer or farther is not seen
+NUM_FOLLOWED = 40  # points
 GATE = 9.0  # (3 sigma)^2: the backend searches no further
 # Looking along x: a camera's x is to the right, its y down.
 R_LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -70,7 +71,6 @@ class PointFinder:
         self._sigma_px, self._outliers = sigma_px, outliers
         self._rng = np.random.default_rng([seed, 32])
         self._point_of: dict[int, int] = {}
-        self._fresh: IntArray = np.zeros(0, dtype=np.int64)
 
     def look_from(self, T_world_cam: FloatArray) -> None:
         p = (self._points - T_world_cam[:3, 3]) @ T_world_cam[:3, :3]
@@ -83,27 +83,27 @@ class PointFinder:
         wrong = self._rng.uniform(size=len(uv)) < self._outliers
         self._uv[wrong] += self._rng.normal(0.0, 15.0, (int(wrong.sum()), 2))
 
-    def find(self, state: State, expected: Expected) -> tuple[FloatArray, BoolArray, BoolArray]:
+    def find(self, state: State, expected: Expected) -> tuple[FloatArray, BoolArray]:
         point = np.array([self._point_of[i] for i in state.ids[expected.rows].tolist()], dtype=np.int64)
         uv = self._uv[point]
         off = uv - expected.uv_px
         chi2 = np.einsum("mi,mij,mj->m", off, np.linalg.inv(expected.ellipses()), off)
-        return uv, np.ones(len(point), dtype=bool), self._visible[point] & (chi2 < GATE)
+        return uv, self._visible[point] & (chi2 < GATE)
 
-    def new_features(self, px: FloatArray, noise: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    def new_features(
+        self, state: State, uv_px: FloatArray, in_view: BoolArray, ids: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
         known = list(self._point_of.values())
         free = self._rng.permutation(np.setdiff1d(np.flatnonzero(self._visible), known))
-        taken = list(px)
+        taken = list(uv_px[in_view])
         kept: list[int] = []
         for i in free.tolist():
-            if len(taken) < count and all(np.abs(self._uv[i] - uv).max() > 20.0 for uv in taken):
+            if len(taken) < NUM_FOLLOWED and all(np.abs(self._uv[i] - uv).max() > 20.0 for uv in taken):
                 kept.append(i)
                 taken.append(self._uv[i])
-        self._fresh = np.array(kept, dtype=np.int64)
-        return self._uv[self._fresh], np.ones(len(kept))
-
-    def remember(self, ids: IntArray, uv_px: FloatArray, state: State) -> None:
-        self._point_of |= dict(zip(ids.tolist(), self._fresh[: len(ids)].tolist(), strict=True))
+        kept = kept[: len(ids)]
+        self._point_of |= dict(zip(ids.tolist(), kept, strict=False))
+        return self._uv[np.array(kept, dtype=np.int64)], np.ones(len(kept))
 
 
 def rendered(path: Trajectory, calibration: Calibration, seed: int) -> Iterator[ImageFrame]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from shared.calibration import Calibration
 from shared.errors import ConfigError, EstimationError
-from shared.geometry import inverse, se3, transform, upright
+from shared.geometry import inverse, se3, upright
 from station.model.frames import DriveSample, ImageArray, ImageFrame, ImuBatch
 from station.model.navigation import Navigation, Trajectory
 from station.model.slam_update import SlamUpdate, TrackingState
@@ -25,7 +25,7 @@ from station.slam.mono.config import MonoConfig
 from station.slam.mono.filter import FrameResult, MonoFilter
 from station.slam.mono.map_log import MapLog
 from station.slam.mono.patches import PatchFinder
-from station.vision.lens import Lens
+from station.vision.camera_model import CameraModel
 
 CAMERA_UP = np.array([0.0, -1.0, 0.0])  # cameras are mostly held upright, and nothing else says where up is
 
@@ -37,20 +37,20 @@ class MonoBackend:
         cv2.setNumThreads(1)  # its images are patches
         self._calibration = calibration
         self._config = config or MonoConfig()
-        self._lens = Lens(calibration.camera)
+        self._camera = CameraModel.of(calibration.camera, self._config.sigma_px)
         self._intake = FrameIntake(calibration.camera)
         self._shift_ns = round(calibration.camera.middle_row_shift_s * 1e9)
-        self._T_cam_body = inverse(calibration.camera.T_body_cam_matrix)
-        self._log = MapLog(self._config, calibration.camera.width)
-        self._finder = PatchFinder(self._lens, self._config.search)
+        self._log = MapLog(self._config, self._camera)
+        self._finder = PatchFinder(self._camera.lens, self._config)
         self.filter: MonoFilter | None = None  # of the running segment
         self.last: FrameResult | None = None  # what it made of the last frame
-        R = upright(CAMERA_UP, self._T_cam_body[:3, :3])
-        self._T_world_filter = se3(R, -R @ self._T_cam_body[:3, 3])  # the first body pose is the origin, at yaw 0
-        self._T_world_cam = self._T_world_filter  # the last one that is known
+        self._T_body_cam = calibration.camera.T_body_cam_matrix
+        self._T_cam_body = inverse(self._T_body_cam)
+        R_cam_body = self._T_cam_body[:3, :3]
+        # The last one that is known: at first the origin, at yaw 0
+        self._T_world_body = se3(upright(CAMERA_UP, R_cam_body) @ R_cam_body, np.zeros(3))
         self._segment = -1
         self._num_features = 0  # of all segments so far
-        self._previous_ns = 0
         self._times_ns: list[int] = []  # times of the images that the running filter took
         self._found_ns = 0  # when enough features were found last
         self._lost_ns = 0
@@ -68,23 +68,19 @@ class MonoBackend:
         if isinstance(grey, str):
             return self._update(frame, "tracking" if self.filter is not None else self._waiting, grey)
         self._finder.look_at(grey)
-        dt_s, self._previous_ns = (frame.t_robot_ns - self._previous_ns) * 1e-9, frame.t_robot_ns
-        if self.filter is None:
-            return self._start(frame, grey)
-        return self._track(self.filter, dt_s, frame, grey)
+        return self._start(frame, grey) if self.filter is None else self._track(self.filter, frame, grey)
 
-    def _track(self, mono: MonoFilter, dt_s: float, frame: ImageFrame, grey: ImageArray) -> SlamUpdate:
+    def _track(self, mono: MonoFilter, frame: ImageFrame, grey: ImageArray) -> SlamUpdate:
         try:
-            self.last = result = mono.process(dt_s, self._finder)
+            self.last = result = mono.process((frame.t_robot_ns - self._times_ns[-1]) * 1e-9, self._finder)
         except np.linalg.LinAlgError:
             return self._lose(frame, "the filter contradicts itself")
         self._finder.keep(mono.state.ids)
         self._times_ns.append(frame.t_robot_ns)
-        for t_ns, state in zip(self._times_ns[-len(result.again) :], result.again, strict=False):  # at a window's end
+        for t_ns, state in zip(self._times_ns[-len(result.again) :], result.again, strict=False):
             if t_ns in self._log.poses:
-                self._log.poses[t_ns] = self._T_world_filter @ state.T_world_cam
+                self._log.poses[t_ns] = self._T_world_filter @ state.T_world_cam @ self._T_cam_body
         if result.num_found >= self._config.min_found:
-            self._found_ns = frame.t_robot_ns
             return self._keep(mono, result, frame, grey)
         if frame.t_robot_ns - self._found_ns > self._config.max_outage_s * 1e9:
             return self._lose(frame, "too few features are found again")
@@ -92,27 +88,16 @@ class MonoBackend:
 
     def _keep(self, mono: MonoFilter, result: FrameResult, frame: ImageFrame, grey: ImageArray) -> SlamUpdate:
         """A frame whose pose is known."""
-        state = mono.state
-        self._T_world_cam = self._T_world_filter @ state.T_world_cam
-        self._log.poses[frame.t_robot_ns] = self._T_world_cam
-        is_keyframe = self._log.is_keyframe(result.ids, result.uv_px, self._segment)
-        if is_keyframe:
-            self._log.add_keyframe(frame, self._segment, result.ids, result.uv_px)
-            self._note(mono)
+        self._found_ns = frame.t_robot_ns
+        self._T_world_body = self._T_world_filter @ mono.state.T_world_cam @ self._T_cam_body
+        self._log.poses[frame.t_robot_ns] = self._T_world_body
         update = self._update(frame, "tracking", found_again(result))
-        update = replace(update, T_world_body=self._T_world_cam @ self._T_cam_body, is_keyframe=is_keyframe)
-        new = np.isin(result.ids, result.settled) & np.isin(result.ids, state.ids)
-        if not new.any():
+        update = replace(update, T_world_body=self._T_world_body)
+        if not self._log.is_keyframe(result.ids, result.uv_px, self._segment):
             return update
-        points = transform(self._T_world_filter, state.points()[0][np.isin(state.ids, result.ids[new])])
-        u, v = np.rint(result.uv_px[new]).astype(int).T
-        rgb = np.repeat(grey[v, u][:, None], 3, axis=1).astype(np.float64)
-        return replace(update, new_points_world=points, new_points_rgb=rgb)
-
-    def _note(self, mono: MonoFilter) -> None:
-        """What a filter thinks of its features, unless it will soon know better."""
-        if not mono.is_starting:
-            self._log.note(mono.state, self._T_world_filter)
+        points = self._log.add_keyframe(frame, grey, result.ids, result.uv_px, self._segment)
+        p, rgb = (None, None) if points is None else points
+        return replace(update, is_keyframe=True, new_points_world=p, new_points_rgb=rgb)
 
     # ---- starting and losing
 
@@ -122,22 +107,21 @@ class MonoBackend:
 
     def _start(self, frame: ImageFrame, grey: ImageArray) -> SlamUpdate:
         """A filter whose world is this camera; it stands where the last one was lost, for want of a better place."""
-        mono = MonoFilter(self._lens, self._config.filter, self._num_features)
+        mono = MonoFilter(self._camera.lens, self._config, self._num_features)
         result = mono.process(0.0, self._finder)
         if len(mono.state.ids) < self._config.min_found:
             self._finder.keep(mono.state.ids[:0])
             return self._update(frame, self._waiting, "not initialised yet: needs something with corners in view")
         self.filter, self._segment = mono, self._segment + 1
-        self._T_world_filter = self._T_world_cam
+        self._T_world_filter = self._T_world_body @ self._T_body_cam
         if self._segment:
             self._lost_ns += frame.t_robot_ns - self._found_ns
-        self._found_ns, self._times_ns = frame.t_robot_ns, [frame.t_robot_ns]
+        self._times_ns = [frame.t_robot_ns]
         return self._keep(mono, result, frame, grey)
 
     def _lose(self, frame: ImageFrame, reason: str) -> SlamUpdate:
         """What was estimated before the trouble stays; the next start is a new segment with a scale of its own."""
         assert self.filter is not None
-        self._note(self.filter)
         self._num_features, self.filter = self.filter.next_id, None
         self._messages.append(f"tracking lost after {self._intake.elapsed_s:.1f} s: {reason}")
         return self._update(frame, "lost", f"tracking lost: {reason}")
@@ -156,24 +140,19 @@ class MonoBackend:
 
     def finish(self) -> Navigation:
         """End the navigation. Raises EstimationError, with the reason, when nothing could be reconstructed."""
-        intake = self._intake
+        intake, poses = self._intake, self._log.poses
         if not intake.used:
             raise EstimationError("no usable image came; the mono backend needs images")
-        if not self._log.poses:
+        if not poses:
             raise EstimationError("tracking never started: no image had enough corners to follow")
-        if self.filter is not None:
-            self._note(self.filter)
-        else:
+        if self.filter is None:
             self._lost_ns += intake.last_t_ns - self._found_ns
-        keyframes, landmarks = self._log.map()
         if self._segment:
             self._messages.append(f"{self._segment + 1} pieces, each with a scale and a frame of its own")
+        keyframes, landmarks = self._log.map()
         report = make_report("mono", intake, self._config, self._lost_ns * 1e-9, 0, False, self._messages)
         report = replace(report, landmarks=len(landmarks))
-        poses = self._log.poses
-        trajectory = Trajectory(
-            np.array(list(poses)) + self._shift_ns, np.array(list(poses.values())) @ self._T_cam_body
-        )
+        trajectory = Trajectory(np.array(list(poses)) + self._shift_ns, np.array(list(poses.values())))
         return Navigation(f"mono-{intake.first_t_ns}", self._calibration, trajectory, keyframes, landmarks, report)
 
     def _update(self, frame: ImageFrame, state: TrackingState, message: str) -> SlamUpdate:
@@ -190,4 +169,4 @@ class MonoBackend:
 
 
 def found_again(result: FrameResult) -> str:
-    return f"tracking: {result.num_found} of {result.num_tried} features found"
+    return f"tracking: {result.num_found} of {len(result.expected.rows)} features found"

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from shared.geometry import FloatArray, IntArray
-from station.slam.mono.config import FilterConfig
+from station.slam.mono.config import MonoConfig
 from station.slam.mono.state import Expected, State
 from station.slam.mono.window import Measured, Window
 from station.vision.lens import BoolArray, Lens
@@ -22,20 +22,17 @@ MARGIN_PX = 10.0  # to the image's border: a patch must fit
 class Finder(Protocol):
     """What looks into one image."""
 
-    def find(self, state: State, expected: Expected) -> tuple[FloatArray, BoolArray, BoolArray]:
-        """Where the expected features are (M, 2), which were looked for (M,) and which of these were found (M,)."""
+    def find(self, state: State, expected: Expected) -> tuple[FloatArray, BoolArray]:
+        """Where the expected features are (M, 2), and which of them were found (M,)."""
         ...
 
-    def new_features(self, px: FloatArray, noise: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-        """Pixels (K, 2) that are worth following, and State.noise of each (K,).
+    def new_features(
+        self, state: State, uv_px: FloatArray, in_view: BoolArray, ids: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Pixels (K, 2) and State.noise (K,) of what is worth following from now on, under the first K of these ids.
 
-        px, noise: (N, 2), (N,) of those that are followed already.
-        count: of all features as sharp or sharper.
+        uv_px, in_view: (N, 2), (N,) of the state's features.
         """
-        ...
-
-    def remember(self, ids: IntArray, uv_px: FloatArray, state: State) -> None:
-        """Keep what is to be found again of new features: those there was room for, the first ones."""
         ...
 
 
@@ -43,38 +40,34 @@ class Finder(Protocol):
 class FrameResult:
     """What one frame gave."""
 
-    ids: IntArray  # (K,) of the features that took part, then of the new ones
-    uv_px: FloatArray  # (K, 2) as measured
-    num_found: int  # of ids: how many took part
-    num_tried: int
     predicted: State  # before the update
     expected: Expected  # features that were chosen to be looked for
-    settled: IntArray  # ids of the features that became XYZ
-    again: list[State]  # where a window ends: the states after each of its images, better than they were
+    num_found: int  # of them, in agreement
+    ids: IntArray  # (K,) of these, then of the new ones
+    uv_px: FloatArray  # (K, 2) as measured
+    again: list[State]  # where a window is gone through again: the states after each of its images, now better
 
 
 class MonoFilter:
-    def __init__(self, lens: Lens, config: FilterConfig, first_id: int = 0) -> None:
+    def __init__(self, lens: Lens, config: MonoConfig, first_id: int = 0) -> None:
         self._lens, self._config = lens, config
         self.state = State.first(config)
         self.sigma_px = config.sigma_px
         self.next_id = first_id
         self._first, self._images = self.state, list[Measured]()  # of the window: the state before it, its images
-        self.is_starting = True  # until the first images have been gone through again, after which all is known better
 
     def process(self, dt_s: float, finder: Finder) -> FrameResult:
         """Take one image in, dt_s after the one before."""
         predicted = self.state.moved(self._config, dt_s)  # eqs. 2.1 to 2.3
         expected = self._choose(predicted)  # eqs. 2.4 to 2.6, C.5
-        uv, tried, found = finder.find(predicted, expected)
+        uv, found = finder.find(predicted, expected)
         agreed = self._compatible(expected, uv, np.flatnonzero(found))
         self.state = predicted.updated(expected.of(agreed), uv[agreed])
-        new_ids, new_uv = self._add(finder)
+        new_ids, new_uv = self._add(finder)  # eq. C.2
         ids = np.concatenate([predicted.ids[expected.rows[agreed]], new_ids])
         uv = np.concatenate([uv[agreed], new_uv])
-        image = Measured(dt_s, ids, uv, predicted.ids[expected.rows])
-        again, settled = self._go_again(image)
-        return FrameResult(ids, uv, len(agreed), int(tried.sum()), predicted, expected, settled, again)
+        again = self._go_again(Measured(dt_s, ids, uv, predicted.ids[expected.rows]), len(agreed))
+        return FrameResult(predicted, expected, len(agreed), ids, uv, again)
 
     def _choose(self, state: State) -> Expected:
         """The features in view, the most informative (S is largest beside their noise) where there are too many."""
@@ -105,52 +98,48 @@ class MonoFilter:
             found = np.delete(found, worst)
         return found
 
-    def _go_again(self, image: Measured) -> tuple[list[State], IntArray]:
-        """Keep the image; at the end of a window, and within the first one, go through all of its images once more.
+    def _go_again(self, image: Measured, num_found: int) -> list[State]:
+        """Keep the image; now and then, and where the window ends, go through all of its images once more.
 
-        Returns the better states after each of them, and which features became XYZ.
+        Where few features are found, little but the motion model links what comes to what was. It is a start like the
+        first one, so a window ends.
         """
-        config, is_start = self._config, self.is_starting
+        config = self._config
         self._images = [kept.only(self.state.ids) for kept in [*self._images, image]]
-        ends = config.start_images if is_start else (config.window_images,)
-        if len(self._images) not in ends:
-            return [], image.ids[:0]
-        window = Window(self._lens, config, self._first, self._images)
-        again, self.sigma_px = window.again(self.state, self.sigma_px, is_start)
+        count = len(self._images)
+        is_end = count == config.window_images[-1] or (count > 1 and num_found < config.min_found)
+        if not is_end and count not in config.window_images:
+            return []
+        again, self.sigma_px = Window(self._lens, config, self._first, self._images).again(self.state, self.sigma_px)
         self.state = again[-1]
-        if len(self._images) < ends[-1]:
-            return again, image.ids[:0]
-        settled = self._tend()
-        self._first, self._images, self.is_starting = self.state, [], False
-        return again, settled
+        if is_end:
+            self._tend()
+            self._first, self._images = self.state, []
+        return again
 
     # ---- the map
 
-    def _tend(self) -> IntArray:
-        """Convert what is linear; give up what is found too rarely, beyond infinity, or too much. Ids converted."""
-        config, state = self._config, self.state
-        is_linear = state.linearity() < config.max_linearity
-        settled, state = state.ids[is_linear], state.with_xyz(is_linear)
-        row = state.rows()[:, 5]
+    def _tend(self) -> None:
+        """Convert what is linear (eq. C.3); give up what is found too rarely, beyond infinity, or too much."""
+        config = self._config
+        state = self.state.with_xyz(self.state.linearity() < config.max_linearity)
         wanted = np.sum([np.isin(state.ids, image.wanted) for image in self._images], axis=0)
         found = np.sum([np.isin(state.ids, image.ids) for image in self._images], axis=0)
+        row = state.rows()[:, 5]
         leave = state.is_inverse & (state.x[row] + 2.0 * np.sqrt(np.maximum(state.P[row, row], 0.0)) < 0.0)
         leave |= (wanted >= config.min_tries) & (found < config.min_found_share * wanted)
         unseen = np.flatnonzero(~leave & (found == 0))  # the oldest first
         leave[unseen[: max(int((~leave).sum()) + config.num_measured - config.max_features, 0)]] = True
         self.state = state.without(leave)
-        return settled
 
     def _add(self, finder: Finder) -> tuple[IntArray, FloatArray]:
         """New features where the picture has too few: their ids and pixels."""
         state, config = self.state, self._config
         seen = state.predict(self._lens)
         in_view = seen.is_ahead & self._lens.is_inside(seen.uv_px)
-        uv, noise = finder.new_features(seen.uv_px[in_view], state.noise[in_view], config.num_measured)
         room = max(config.max_features - len(state.ids), 0)
-        uv, noise = uv[:room], noise[:room]
+        uv, noise = finder.new_features(state, seen.uv_px, in_view, np.arange(self.next_id, self.next_id + room))
         ids = np.arange(self.next_id, self.next_id + len(uv))
         self.next_id += len(ids)
         self.state = state.with_features(ids, uv, noise, self._lens, config, self.sigma_px)
-        finder.remember(ids, uv, self.state)
         return ids, uv

@@ -1,4 +1,4 @@
-"""What stays of a navigation: poses, keyframes with their pictures, and the last word on every feature."""
+"""What stays of a navigation: poses, keyframes with their pictures, and landmarks that are triangulated from them."""
 
 from __future__ import annotations
 
@@ -6,62 +6,51 @@ from dataclasses import replace
 
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray, transform
+from shared.geometry import FloatArray, IntArray
 from station.files.spill import Spill, SpilledFiles
-from station.model.frames import ImageFrame
+from station.model.frames import ImageArray, ImageFrame
 from station.model.navigation import Keyframes, Landmarks
-from station.slam.mapping.assemble import make_keyframes, make_landmarks
+from station.slam.mapping.assemble import make_keyframes
 from station.slam.mono.config import MonoConfig
-from station.slam.mono.motion import POSITION
-from station.slam.mono.state import State
+from station.slam.ukf.map.keyframes import Keyframe, sample_grey
+from station.slam.ukf.map.landmark_map import LiveMap, make_landmarks
+from station.vision.camera_model import CameraModel
+from station.vision.klt import TrackedFrame
 
 
 class MapLog:
-    def __init__(self, config: MonoConfig, width_px: int) -> None:
-        self._config = config
-        self._width_px = width_px
-        self.poses: dict[int, FloatArray] = {}  # by time of the image, ns: T_world_cam
-        self._frames: list[ImageFrame] = []  # keyframes, without their files
+    def __init__(self, config: MonoConfig, camera: CameraModel) -> None:
+        self._config, self._camera = config, camera
+        self.poses: dict[int, FloatArray] = {}  # by time of the image, ns: T_world_body
+        self._keyframes: list[Keyframe] = []  # without their files
         self.encoded = SpilledFiles(Spill())  # these
-        self._segments: list[int] = []
-        self._seen: list[tuple[IntArray, FloatArray]] = []  # ids and pixels, one pair a keyframe
-        self._points: dict[int, tuple[FloatArray, FloatArray]] = {}  # by id: where, and covariance
+        self._live = LiveMap(camera, config.landmarks)
 
     def is_keyframe(self, ids: IntArray, uv_px: FloatArray, segment: int) -> bool:
         """Whether half of the last keyframe's features have moved, or are gone."""
-        if not self._segments or self._segments[-1] != segment:
+        if not self._keyframes or self._keyframes[-1].segment != segment:
             return True
-        then, uv_then = self._seen[-1]
-        _, now, before = np.intersect1d(ids, then, assume_unique=True, return_indices=True)
-        flow = np.linalg.norm(uv_px[now] - uv_then[before], axis=1)
-        return int((flow < self._config.keyframe_flow * self._width_px).sum()) < 0.5 * len(then)
+        then = self._keyframes[-1].tracked
+        _, now, before = np.intersect1d(ids, then.ids, assume_unique=True, return_indices=True)
+        flow = np.linalg.norm(uv_px[now] - then.uv_px[before], axis=1)
+        return int((flow < self._config.keyframe_flow * self._camera.lens.camera.width).sum()) < 0.5 * len(then.ids)
 
-    def add_keyframe(self, frame: ImageFrame, segment: int, ids: IntArray, uv_px: FloatArray) -> None:
-        self._frames.append(replace(frame, encoded=b""))
+    def add_keyframe(
+        self, frame: ImageFrame, grey: ImageArray, ids: IntArray, uv_px: FloatArray, segment: int
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """Points (n, 3) and colours (n, 3) of features that were seen last before it, for the live view."""
+        tracked = TrackedFrame(ids, uv_px, self._camera.lens.unproject(uv_px), len(ids), float(grey.mean()))
+        image, T, still, six = replace(frame, encoded=b""), self.poses[frame.t_robot_ns], np.zeros(3), np.zeros(6)
+        rgb = sample_grey(grey, uv_px)
+        self._keyframes.append(Keyframe(image, tracked, rgb, T, still, still, six, segment, None, None))
         self.encoded.append(frame.encoded)
-        self._segments.append(segment)
-        self._seen.append((ids, uv_px))
-
-    def note(self, state: State, T_world_filter: FloatArray) -> None:
-        """Keep the features of this state whose place is known well enough."""
-        p, cov = state.points()
-        away = np.linalg.norm(p - state.x[POSITION], axis=1)
-        known = np.sqrt(np.trace(cov, axis1=1, axis2=2)) < self._config.max_depth_sigma * away
-        R = T_world_filter[:3, :3]
-        for i in np.flatnonzero(known).tolist():
-            self._points[int(state.ids[i])] = transform(T_world_filter, p[i]), R @ cov[i] @ R.T
+        return self._live.add(self._keyframes[-1])
 
     def map(self) -> tuple[Keyframes, Landmarks]:
-        """Keyframes, and of the features whose place is known those that enough of them saw."""
-        frames = [replace(f, encoded=e) for f, e in zip(self._frames, self.encoded, strict=True)]
-        keyframes = make_keyframes(frames, np.array([self.poses[frame.t_robot_ns] for frame in frames]))
-        keyframes = replace(keyframes, segment=np.array(self._segments, dtype=np.int64))
-        ids = np.array(sorted(self._points), dtype=np.int64)
-        points = np.array([self._points[i][0] for i in ids.tolist()]).reshape(-1, 3)
-        cov = np.array([self._points[i][1] for i in ids.tolist()]).reshape(-1, 3, 3)
-        seen, uv = (np.concatenate(each) for each in zip(*self._seen, strict=True))
-        seen_from = np.repeat(np.arange(len(self._seen)), [len(seen) for seen, _ in self._seen])
-        known = np.isin(seen, ids)
-        owner = np.searchsorted(ids, seen[known])
-        keep = np.bincount(owner, minlength=len(ids)) >= self._config.min_observations
-        return keyframes, make_landmarks(keyframes, keep, points, cov, owner, seen_from[known], uv[known])
+        """Keyframes and landmarks, by the poses as they are known now."""
+        items = [replace(key, T_world_head=self.poses[key.image.t_robot_ns]) for key in self._keyframes]
+        images = [replace(key.image, encoded=e) for key, e in zip(items, self.encoded, strict=True)]
+        T_world_body = np.array([key.T_world_head for key in items])
+        keyframes = make_keyframes(images, T_world_body @ self._camera.lens.camera.T_body_cam_matrix)
+        segment = np.array([key.segment for key in items], dtype=np.int64)
+        return replace(keyframes, segment=segment), make_landmarks(items, self._camera, self._config.landmarks)

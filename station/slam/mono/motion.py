@@ -12,14 +12,14 @@ import numpy as np
 
 from shared.geometry import FloatArray, so3_exp
 from station.motion.lie import so3_left_jacobian
-from station.slam.mono.config import FilterConfig
+from station.slam.mono.config import MonoConfig
 
 POSITION, ATTITUDE, VELOCITY, TURN = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 CAMERA = 12  # size of the camera's part of the state
 POSE = 6  # position and attitude: all that an image depends on
 
 
-def first_camera(config: FilterConfig) -> tuple[FloatArray, FloatArray]:
+def first_camera(config: MonoConfig) -> tuple[FloatArray, FloatArray]:
     """x_v (12,) and covariance (12, 12) at the first image, whose pose is the world: known, by definition."""
     sigma = np.repeat([0.0, 0.0, config.sigma_first_velocity, config.sigma_first_turn], 3)
     return np.zeros(CAMERA), np.diag(sigma**2)
@@ -51,6 +51,6 @@ def move(
     return new, R @ turned, F, G
 
 
-def impulse_covariance(config: FilterConfig, dt_s: float) -> FloatArray:
+def impulse_covariance(config: MonoConfig, dt_s: float) -> FloatArray:
     """P_n (6, 6) of eq. 2.3: of the impulses a^W dt and alpha^R dt of eq. 2.1, diagonal."""
     return np.diag((np.repeat([config.sigma_accel, config.sigma_angular_accel], 3) * dt_s) ** 2)

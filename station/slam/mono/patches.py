@@ -11,32 +11,31 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray, homogeneous
+from shared.geometry import FloatArray, IntArray, homogeneous, inverse, transform
 from station.model.frames import ImageArray
-from station.slam.mono.config import SearchConfig
-from station.slam.mono.motion import POSITION
+from station.slam.mono.config import MonoConfig
 from station.slam.mono.state import Expected, State
 from station.vision.klt import detect_corners
 from station.vision.lens import BoolArray, Lens
 
+CORNER = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])  # steps of one pixel right and down
 NEAREST, FARTHEST = 0.05, 1e3  # units; of a patch's plane, for its warp only
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class Patch:
-    """What a feature looked like when it was first seen, and from where."""
+    """What a feature looked like when it was first seen, and from where, as far as was known then."""
 
     grey: ImageArray  # (side, side), the feature in its middle
     shrunk: int  # 1, or so many times smaller than the image
     rays: FloatArray  # (3, 3) through the middle, and one pixel of grey right and down of it; z = 1, camera axes
-    r: FloatArray  # (3,) as far as was known while the feature had six numbers (x_i of C.2)
-    R: FloatArray  # (3, 3)
+    T_world_cam: FloatArray  # (4, 4)
 
 
 class PatchFinder:
     """The patches of all features, and the image in which they are looked for."""
 
-    def __init__(self, lens: Lens, config: SearchConfig) -> None:
+    def __init__(self, lens: Lens, config: MonoConfig) -> None:
         self._lens = lens
         self._config = config
         self._half = config.patch_px // 2
@@ -54,62 +53,50 @@ class PatchFinder:
         """Forget all other features."""
         self._patches = {number: self._patches[number] for number in ids.tolist()}
 
-    def new_features(self, px: FloatArray, noise: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    def new_features(
+        self, state: State, uv_px: FloatArray, in_view: BoolArray, ids: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Shi-Tomasi corners where there are no features yet, at the middle of a whole pixel each; sharp ones first."""
-        config, followed = self._config, len(px)
+        config, reach, known = self._config, self._reach, int(in_view.sum())
+        px, noise = uv_px[in_view], state.noise[in_view]
         kinds = (1, 1.0, config.min_response), (config.coarse, config.coarse_noise, config.min_coarse_response)
         for shrunk, own_noise, least in kinds:
-            wanted, cell = count - int((noise <= own_noise).sum()), config.cell_px // shrunk
-            taken = to_shrunk(px, shrunk)
-            corners = detect_corners(self._images[shrunk], taken, wanted, cell, least, self._reach + 2)
+            image, wanted = self._images[shrunk], config.num_measured - int((noise <= own_noise).sum())
+            corners = detect_corners(image, to_shrunk(px, shrunk), wanted, config.cell_px // shrunk, least, reach + 2)
             uv = from_shrunk(np.rint(corners), shrunk)
-            inside = self._lens.is_inside(uv, (self._reach + 1.0) * shrunk)
+            inside = self._lens.is_inside(uv, (reach + 1.0) * shrunk)
             uv = uv[inside & self._lens.is_invertible(uv, self._lens.unproject(uv))]
+            uv = uv[: max(known + len(ids) - len(px), 0)]
+            rays = homogeneous(self._lens.unproject(uv[:, None] + shrunk * CORNER))
+            places = np.rint(to_shrunk(uv, shrunk)).astype(int).tolist()
+            for number, (column, row), three in zip(ids[len(px) - known :].tolist(), places, rays, strict=False):
+                grey = image[row - reach : row + reach + 1, column - reach : column + reach + 1].copy()
+                self._patches[number] = Patch(grey, shrunk, three, state.T_world_cam)
             px, noise = np.concatenate([px, uv]), np.append(noise, np.full(len(uv), own_noise))
-        return px[followed:], noise[followed:]
+        return px[known:], noise[known:]
 
-    def remember(self, ids: IntArray, uv_px: FloatArray, state: State) -> None:
-        size = np.where(state.noise[np.searchsorted(state.ids, ids)] > 1.0, self._config.coarse, 1)
-        steps = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-        rays = homogeneous(self._lens.unproject(uv_px[:, None] + steps * size[:, None, None]))
-        for number, uv, three, shrunk in zip(ids.tolist(), uv_px, rays, size.tolist(), strict=True):
-            u, v = np.rint(to_shrunk(uv, shrunk)).astype(int)
-            side = slice(v - self._reach, v + self._reach + 1), slice(u - self._reach, u + self._reach + 1)
-            self._patches[number] = Patch(self._images[shrunk][side].copy(), shrunk, three, state.x[POSITION], state.R)
-
-    def find(self, state: State, expected: Expected) -> tuple[FloatArray, BoolArray, BoolArray]:
-        count = len(expected.rows)
-        uv, tried, found = expected.uv_px.copy(), np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
-        if not count:
-            return uv, tried, found
-        patches = [self._patches[number] for number in state.ids[expected.rows].tolist()]
-        warps = self._warps(state, expected.rows, patches)
-        stretch = np.linalg.svd(warps, compute_uv=False)
-        limit = self._config.max_stretch
-        tried = (stretch[:, 0] < limit) & (stretch[:, 1] > 1.0 / limit)
-        ellipses = expected.ellipses()
-        for i in np.flatnonzero(tried).tolist():
-            shrunk = patches[i].shrunk
-            template = self._warped(patches[i].grey, warps[i])
-            place = self._search(self._images[shrunk], template, to_shrunk(uv[i], shrunk), ellipses[i] / shrunk**2)
+    def find(self, state: State, expected: Expected) -> tuple[FloatArray, BoolArray]:
+        uv, found = expected.uv_px.copy(), np.zeros(len(expected.rows), dtype=bool)
+        points, ellipses = state.points()[0], expected.ellipses()
+        for i, row in enumerate(expected.rows.tolist()):
+            patch = self._patches[int(state.ids[row])]
+            warp = self._warp(patch, points[row], state)
+            if not 1.0 < self._config.max_stretch * np.linalg.det(warp) < self._config.max_stretch**2:
+                continue
+            template = self._warped(patch.grey, warp)
+            middle = to_shrunk(uv[i], patch.shrunk)
+            place = self._search(self._images[patch.shrunk], template, middle, ellipses[i] / patch.shrunk**2)
             if place is not None:
-                uv[i], found[i] = from_shrunk(place, shrunk), True
-        return uv, tried, found
+                uv[i], found[i] = from_shrunk(place, patch.shrunk), True
+        return uv, found
 
-    def _warps(self, state: State, rows: IntArray, patches: list[Patch]) -> FloatArray:
-        """(M, 2, 2): what becomes of a step in the patch, in pixels of this image, shrunk likewise."""
-        for patch, y, is_inverse in zip(patches, state.features()[rows], state.is_inverse[rows], strict=True):
-            if is_inverse:
-                patch.r = y[:3]
-        rays, r, R, shrunk = (
-            np.stack(each) for each in zip(*((p.rays, p.r, p.R, p.shrunk) for p in patches), strict=True)
-        )
-        depth = np.einsum("mi,mi->m", state.points()[0][rows] - r, R[:, :, 2])
-        depth = np.where(depth > NEAREST, np.minimum(depth, FARTHEST), FARTHEST)  # behind: beyond infinity
-        corners = rays * depth[:, None, None] @ np.swapaxes(R, 1, 2) + r[:, None]
-        seen = (corners - state.x[POSITION]) @ state.R
-        uv = self._lens.project(seen[..., :2] / np.maximum(seen[..., 2:], NEAREST))
-        return np.swapaxes(uv[:, 1:] - uv[:, :1], 1, 2) / shrunk[:, None, None]
+    def _warp(self, patch: Patch, point: FloatArray, state: State) -> FloatArray:
+        """(2, 2): what becomes of a step in the patch, in pixels of this image, shrunk likewise."""
+        depth = transform(inverse(patch.T_world_cam), point)[2]
+        depth = min(depth, FARTHEST) if depth > NEAREST else FARTHEST  # behind: beyond infinity
+        seen = transform(inverse(state.T_world_cam) @ patch.T_world_cam, depth * patch.rays)
+        uv = self._lens.project(seen[:, :2] / np.maximum(seen[:, 2:], NEAREST))
+        return (uv[1:] - uv[0]).T / patch.shrunk
 
     def _warped(self, grey: ImageArray, warp: FloatArray) -> ImageArray:
         """The template (patch_px, patch_px) as this image should show it."""

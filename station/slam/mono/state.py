@@ -8,7 +8,7 @@ import numpy as np
 import scipy.linalg
 
 from shared.geometry import FloatArray, IntArray, se3, so3_exp, so3_log
-from station.slam.mono.config import FilterConfig
+from station.slam.mono.config import MonoConfig
 from station.slam.mono.measurement import Predicted, bearing, first_seen, predict, to_xyz
 from station.slam.mono.motion import ATTITUDE, CAMERA, POSE, POSITION, first_camera, impulse_covariance, move
 from station.vision.lens import BoolArray, Lens
@@ -28,15 +28,10 @@ class Expected:
         two = (2 * chosen[:, None] + np.arange(2)).ravel()
         return Expected(self.rows[chosen], self.uv_px[chosen], self.HP[two], self.S[np.ix_(two, two)])
 
-    def blocks(self) -> FloatArray:
-        """S_ij (M, M, 2, 2)."""
-        M = len(self.rows)
-        return self.S.reshape(M, 2, M, 2).swapaxes(1, 2)
-
     def ellipses(self) -> FloatArray:
-        """S_i of eq. 2.6 (M, 2, 2), each feature's own."""
-        M = range(len(self.rows))
-        return self.blocks()[M, M]
+        """S_i of eq. 2.6 (M, 2, 2), each feature's own: the blocks on the diagonal."""
+        M = np.arange(len(self.rows))
+        return self.S.reshape(len(M), 2, len(M), 2)[M, :, M]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +46,7 @@ class State:
     noise: FloatArray  # (N,) of how many sigma_px its pixels are measured
 
     @classmethod
-    def first(cls, config: FilterConfig) -> State:
+    def first(cls, config: MonoConfig) -> State:
         x, P = first_camera(config)
         return cls(x, np.eye(3), P, np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool), np.zeros(0))
 
@@ -81,7 +76,7 @@ class State:
 
     # ---- time
 
-    def moved(self, config: FilterConfig, dt_s: float) -> State:
+    def moved(self, config: MonoConfig, dt_s: float) -> State:
         """After dt without an image: eqs. 2.1 to 2.3. Features rest."""
         x, P = self.x.copy(), self.P.copy()
         x[:CAMERA], R, F, G = move(self.x[:CAMERA], self.R, np.zeros(6), dt_s)
@@ -98,27 +93,21 @@ class State:
     def expect(self, lens: Lens, rows: IntArray, sigma_px: float, at: State | None = None) -> Expected:
         """What an image should show of these features (M,).
 
-        at: where the derivatives are taken, instead of here. Its features begin with those of this state.
+        at: where the derivatives are taken, instead of here; it has these features as well.
         """
+        there = rows if at is None else np.searchsorted(at.ids, self.ids[rows])
         seen = (self if at is None else at).predict(lens)
-        H_x, H_y, mine = seen.by_pose[rows], seen.by_feature[rows], self.rows()[rows]
+        uv, H_x, H_y, mine = seen.uv_px[there], seen.by_pose[there], seen.by_feature[there], self.rows()[rows]
         HP = (H_x @ self.P[:POSE] + H_y @ self.P[mine]).reshape(-1, len(self.x))
         # Eq. 2.6, its four terms: two in HP (P_xx and P_yx; P_xy and P_yy), by H_x and by H_y once more.
-        S = HP[:, :POSE] @ H_x.reshape(-1, POSE).T + np.einsum("amk,mjk->amj", HP[:, mine], H_y).reshape(
-            len(HP), len(HP)
-        )
-        uv = seen.uv_px[rows]
-        if at is not None:
-            off = self._minus(at)
-            uv = uv + H_x @ off[:POSE] + (H_y @ off[mine][:, :, None])[:, :, 0]
+        by_feature = np.einsum("amk,mjk->amj", HP[:, mine], H_y).reshape(len(HP), len(HP))
+        S = HP[:, :POSE] @ H_x.reshape(-1, POSE).T + by_feature
+        if at is not None:  # this mean, seen from there to first order
+            pose = np.concatenate([self.x[POSITION] - at.x[POSITION], so3_log(at.R.T @ self.R)])
+            feature = self.x[mine] - at.x[at.rows()[there]]
+            uv = uv + H_x @ pose + (H_y @ feature[:, :, None])[:, :, 0]
         R = np.repeat(sigma_px * self.noise[rows], 2) ** 2  # of eq. 2.6
         return Expected(rows, uv, HP, 0.5 * (S + S.T) + np.diag(R))
-
-    def _minus(self, at: State) -> FloatArray:
-        """This mean (n,) seen from another, whose state begins with the same numbers."""
-        off = self.x - at.x[: len(self.x)]
-        off[ATTITUDE] = so3_log(at.R.T @ self.R)
-        return off
 
     def updated(self, expected: Expected, uv_px: FloatArray) -> State:
         """The Kalman update with measured pixels (M, 2): x + P H^T S^-1 nu, P - P H^T S^-1 H P."""
@@ -135,7 +124,7 @@ class State:
     # ---- the map
 
     def with_features(
-        self, ids: IntArray, uv_px: FloatArray, noise: FloatArray, lens: Lens, config: FilterConfig, sigma_px: float
+        self, ids: IntArray, uv_px: FloatArray, noise: FloatArray, lens: Lens, config: MonoConfig, sigma_px: float
     ) -> State:
         """New features of six numbers from one view of them (C.2): all that is unknown is how far they are."""
         if not len(ids):

@@ -7,7 +7,7 @@ from scipy.stats import chi2
 from shared.geometry import inverse, transform
 from station.experiments.trajectory_error import absolute_trajectory_error, path_length
 from station.model.navigation import Trajectory
-from station.slam.mono.config import FilterConfig
+from station.slam.mono.config import MonoConfig
 from station.slam.mono.filter import FrameResult, MonoFilter
 from station.slam.mono.motion import ATTITUDE, CAMERA
 from station.vision.lens import Lens
@@ -26,7 +26,7 @@ def follow(
     assert calibration.camera is not None
     lens = Lens(calibration.camera)
     finder = PointFinder(lens, room_points(path.T_world_body[:, :3, 3], seed), 1.0, seed, outliers)
-    mono = MonoFilter(lens, FilterConfig())
+    mono = MonoFilter(lens, MonoConfig())
     poses, results = [], []
     for k, T_world_cam in enumerate(path.T_world_body):
         finder.look_from(T_world_cam)
@@ -44,7 +44,7 @@ def test_camera_among_points_is_followed_within_two_percent_also_where_some_meas
     error = absolute_trajectory_error(found, truth, "sim3")
     assert error.rmse_m < 0.02 * path_length(truth)
     last = results[-1]
-    assert 0.7 * (1 - outliers) * last.num_tried <= last.num_found <= last.num_tried
+    assert 0.7 * (1 - outliers) * len(last.expected.rows) <= last.num_found <= len(last.expected.rows)
     assert pose_nees(mono.state, inverse(truth.T_world_body[0]) @ truth.T_world_body[-1]) < chi2.ppf(
         0.999, NEES_DEGREES
     )
@@ -57,12 +57,10 @@ def test_start_that_fits_its_mirror_image_better_is_mended_by_the_pictures_that_
 
 
 def test_features_become_points_where_they_are_known_well_enough() -> None:
-    mono, truth, found, results = follow(1)
+    mono, truth, found, _ = follow(1)
     state = mono.state
     assert 0 < state.is_inverse.sum() < len(state.ids)
     assert len(state.x) == CAMERA + 6 * state.is_inverse.sum() + 3 * (~state.is_inverse).sum()
-    settled = np.concatenate([result.settled for result in results])
-    assert set(state.ids[~state.is_inverse].tolist()) <= set(settled.tolist())
     p, cov = state.points()
     scale = absolute_trajectory_error(found, truth, "sim3").alignment
     p_true = transform(scale.T_target_source, p[~state.is_inverse])
@@ -78,10 +76,10 @@ def test_covariance_stays_symmetric_and_positive_and_the_attitude_a_rotation() -
 
 
 def test_map_keeps_its_size() -> None:
-    config = FilterConfig()
+    config = MonoConfig()
     mono, _, _, results = follow(1)
     assert len(mono.state.ids) <= config.max_features
-    assert all(result.num_tried <= config.num_measured for result in results)
+    assert all(len(result.expected.rows) <= config.num_measured for result in results)
 
 
 def test_ellipses_shrink_as_depths_become_known() -> None:

@@ -3,14 +3,14 @@ import numpy as np
 import pytest
 
 from station.model.frames import ImageArray
-from station.slam.mono.config import FilterConfig, SearchConfig
+from station.slam.mono.config import MonoConfig
 from station.slam.mono.patches import PatchFinder
 from station.slam.mono.state import State
 from station.vision.lens import Lens
 from tests.support.mono import hand_held_camera
 
 SHIFT_PX = 8  # to the right
-NOTHING = np.zeros((0, 2)), np.zeros(0)
+NOTHING = State.first(MonoConfig()), np.zeros((0, 2)), np.zeros(0, dtype=bool)
 
 
 def picture(contrast: float, blur_px: float, shift_px: int, seed: int) -> ImageArray:
@@ -27,20 +27,19 @@ def picture(contrast: float, blur_px: float, shift_px: int, seed: int) -> ImageA
 def test_features_of_sharp_corners_or_else_of_shades_are_found_where_they_have_moved(
     contrast: float, blur_px: float, is_sharp: bool
 ) -> None:
-    camera, config, search = hand_held_camera().camera, FilterConfig(), SearchConfig()
+    camera, config = hand_held_camera().camera, MonoConfig()
     assert camera is not None
     lens = Lens(camera)
-    finder = PatchFinder(lens, search)
+    finder = PatchFinder(lens, config)
     finder.look_at(picture(contrast, blur_px, 0, 1))
-    uv, noise = finder.new_features(*NOTHING, 20)
-    assert len(uv) >= 10 and (noise == (1.0 if is_sharp else search.coarse_noise)).all()
+    uv, noise = finder.new_features(*NOTHING, np.arange(20))
+    assert len(uv) >= 10 and (noise == (1.0 if is_sharp else config.coarse_noise)).all()
     ids = np.arange(len(uv))
     state = State.first(config).with_features(ids, uv, noise, lens, config, config.sigma_px)
-    finder.remember(ids, uv, state)
     state = state.moved(config, 1.0 / 30.0)
     finder.look_at(picture(contrast, blur_px, SHIFT_PX, 2))
     inside = np.flatnonzero(uv[:, 0] + SHIFT_PX < 580)
-    found_px, _, found = finder.find(state, state.expect(lens, inside, config.sigma_px))
+    found_px, found = finder.find(state, state.expect(lens, inside, config.sigma_px))
     assert found.mean() > 0.8
     off = found_px[found] - uv[inside][found] - [SHIFT_PX, 0.0]
     assert np.abs(np.median(off, axis=0)).max() < 0.5
@@ -50,7 +49,7 @@ def test_features_of_sharp_corners_or_else_of_shades_are_found_where_they_have_m
 def test_no_coarse_feature_is_taken_where_there_are_enough_sharp_ones() -> None:
     camera = hand_held_camera().camera
     assert camera is not None
-    finder = PatchFinder(Lens(camera), SearchConfig())
+    finder = PatchFinder(Lens(camera), MonoConfig(num_measured=10))
     finder.look_at(picture(40.0, 3.0, 0, 1))
-    uv, noise = finder.new_features(*NOTHING, 10)
+    uv, noise = finder.new_features(*NOTHING, np.arange(20))
     assert len(uv) == 10 and (noise == 1.0).all()
