@@ -24,7 +24,7 @@ NEAREST, FARTHEST = 0.05, 1e3  # units; of a patch's plane, for its warp only
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patch:
-    """What a feature looked like when it was first seen, and from where, as far as was known then."""
+    """What a feature looked like when it was first seen, and from where."""
 
     grey: ImageArray  # (side, side), the feature in its middle
     shrunk: int  # 1, or so many times smaller than the image
@@ -77,9 +77,11 @@ class PatchFinder:
 
     def find(self, state: State, expected: Expected) -> tuple[FloatArray, BoolArray]:
         uv, found = expected.uv_px.copy(), np.zeros(len(expected.rows), dtype=bool)
-        points, ellipses = state.points()[0], expected.ellipses()
+        points, origins, ellipses = state.points()[0], state.features()[:, :3], expected.ellipses()
         for i, row in enumerate(expected.rows.tolist()):
             patch = self._patches[int(state.ids[row])]
+            if state.is_inverse[row]:  # x_i of C.2: where it was seen from, as is known by now
+                patch.T_world_cam[:3, 3] = origins[row]
             warp = self._warp(patch, points[row], state)
             if not 1.0 < self._config.max_stretch * np.linalg.det(warp) < self._config.max_stretch**2:
                 continue
