@@ -241,6 +241,11 @@ class ImuNoise(msgspec.Struct, frozen=True, kw_only=True):
         if not (self.gyro_range > 0 and self.accel_range > 0):
             raise ConfigError(f"the IMU's ranges ({self.gyro_range:g}, {self.accel_range:g}) must be over 0")
 
+    @property
+    def densities(self) -> FloatArray:
+        """(6,) of the gyroscope's axes, then the accelerometer's."""
+        return np.repeat([self.gyro_density, self.accel_density], 3)
+
     def forces(self, readings: FloatArray) -> FloatArray:
         """(N, 3) m/s^2 of an accelerometer's readings (N, 3): as they are, where its errors were not measured."""
         known = self.accelerometer

@@ -97,8 +97,7 @@ def _covariance(
     B[:, 6:, :3] = -skew(ps[-1] - ps[1:] - vs[1:] * left) @ R_after_right
     B[:, 3:6, 3:] = Rs[:-1]
     B[:, 6:, 3:] = (0.5 * dt + left[..., None]) * Rs[:-1]
-    density = np.repeat(np.array([noise.gyro_density, noise.accel_density]) * imu.noise_scale, 3, axis=1)
-    B *= (density * np.sqrt(imu.dt_s)[:, None])[:, None, :]
+    B *= (noise.densities * imu.noise_scale * np.sqrt(imu.dt_s)[:, None])[:, None, :]
     flat = np.swapaxes(B, 0, 1).reshape(9, -1)
     P = flat @ flat.T
     P[6:, 6:] += np.eye(3) * 1e-12
@@ -152,7 +151,7 @@ class ImuSegment:
     accel: FloatArray  # (N, 3) m/s^2, with bias
     end_t_ns: int
     end_gyro: FloatArray  # (3,) reading at the end
-    noise_scale: FloatArray  # (N, 2) >= 1: gyro and accel noise are this much larger (vibration, gaps, saturation)
+    noise_scale: FloatArray  # (N, 6) >= 1: so much larger is the noise of each axis (vibration, gaps, saturation)
 
 
 def integrate(

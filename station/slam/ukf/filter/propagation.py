@@ -130,8 +130,7 @@ def _linear_maps(
     B[:, 3:6, 3:] = Rs[:-1]
     B[:, 6:, 3:] = Rs[:-1] * (0.5 * dt)[:, None, None]
     B = _transition(left_s, gravity) @ B
-    density = np.concatenate([np.full(3, noise.gyro_density), np.full(3, noise.accel_density)])
-    scaled = B * (density * np.sqrt(dt)[:, None] * np.repeat(imu.noise_scale, 3, axis=1))[:, None, :]
+    scaled = B * (noise.densities * np.sqrt(dt)[:, None] * imu.noise_scale)[:, None, :]
     by_step = np.swapaxes(scaled, 0, 1).reshape(9, -1)
     noise_map = triangular(by_step) if N > 1 else np.hstack([by_step, np.zeros((9, 3))])
     bias_map = -np.einsum("nij,n->ij", B, dt)

@@ -9,15 +9,15 @@ import pytest
 from shared.calibration import AccelerometerCalibration, ImuNoise
 from shared.geometry import FloatArray
 from station.model.frames import ImuBatch
-from station.motion.imu_buffer import ON_WHEELS, ImuBuffer
+from station.motion.imu_buffer import IN_THE_AIR, ON_WHEELS, ImuBuffer, Shaking
 
 NOISE = ImuNoise(gyro_density=2e-4, accel_density=2e-3, gyro_walk=2e-5, accel_walk=3e-3, rate_hz=200.0)
 T_S = np.arange(800) / NOISE.rate_hz
 
 
-def noise_scale(gyro: FloatArray, accel: FloatArray) -> FloatArray:
-    """(2,) mean over the stream of what the segments between pictures say."""
-    buffer = ImuBuffer(NOISE, ON_WHEELS)
+def noise_scale(gyro: FloatArray, accel: FloatArray, shaking: Shaking = ON_WHEELS) -> FloatArray:
+    """(6,) mean over the stream of what the segments between pictures say."""
+    buffer = ImuBuffer(NOISE, shaking)
     t_ns = np.rint(T_S * 1e9).astype(np.int64)
     buffer.add(ImuBatch(t_ns, gyro, accel))
     segments = [buffer.segment(int(t), int(t) + 50_000_000) for t in t_ns[200:-20:20]]
@@ -30,22 +30,30 @@ def white(seed: int, density: float) -> FloatArray:
 
 def test_white_noise_is_measured_as_what_it_is() -> None:
     scale = noise_scale(white(1, 3.0 * NOISE.gyro_density), white(2, 5.0 * NOISE.accel_density))
-    assert scale == pytest.approx([3.0, 5.0], rel=0.1)
+    assert scale.reshape(2, 3).mean(axis=1) == pytest.approx([3.0, 5.0], rel=0.1)
+
+
+def test_on_wheels_what_shakes_one_axis_is_noise_of_that_axis_only() -> None:
+    accel = white(5, NOISE.accel_density) * [1.0, 1.0, 6.0]
+    scale = noise_scale(white(6, NOISE.gyro_density), accel)
+    assert scale == pytest.approx([1.0, 1.0, 1.0, 1.0, 1.0, 6.0], rel=0.2)
+    in_the_air = noise_scale(white(6, NOISE.gyro_density), accel, IN_THE_AIR)[3:]
+    assert in_the_air == pytest.approx(np.full(3, np.sqrt(1.0 + 0.01 * (38.0 / 3.0 - 1.0))), rel=0.05)
 
 
 def test_a_resting_sensor_has_the_noise_of_its_data_sheet() -> None:
     scale = noise_scale(white(3, NOISE.gyro_density), white(4, NOISE.accel_density))
-    assert (scale >= 1.0).all() and scale == pytest.approx([1.0, 1.0], abs=0.15)
+    assert (scale >= 1.0).all() and scale == pytest.approx(np.ones(6), abs=0.15)
 
 
 def test_motion_is_no_noise() -> None:
     swing = np.sin(2 * np.pi * 0.7 * T_S)[:, None] * np.ones(3)  # as fast as a small robot starts and turns
-    assert noise_scale(0.8 * swing, 2.0 * swing) == pytest.approx([1.0, 1.0], abs=0.2)
+    assert noise_scale(0.8 * swing, 2.0 * swing) == pytest.approx(np.ones(6), abs=0.2)
 
 
 def test_what_alternates_between_samples_averages_out() -> None:
     buzz = np.where(np.arange(len(T_S)) % 2 == 0, 1.0, -1.0)[:, None] * np.ones(3)
-    assert noise_scale(0.1 * buzz, buzz) == pytest.approx([1.0, 1.0], abs=1e-9)
+    assert noise_scale(0.1 * buzz, buzz) == pytest.approx(np.ones(6), abs=1e-9)
 
 
 def test_readings_become_forces_and_those_at_the_range_are_still_seen_as_such() -> None:

@@ -20,7 +20,7 @@ def segment(num_steps: int, first: int = 0) -> ImuSegment:
     gyro = np.sin(t * [3.0, 4.0, 5.0] + [0.0, 1.0, 2.0])
     accel = np.array([0.0, 0.0, 9.8]) + 2.0 * np.sin(t * [7.0, 4.0, 3.0])
     end_ns = (first + num_steps) * 5_000_000
-    return ImuSegment(np.full(num_steps, 0.005), gyro, accel, end_ns, gyro[-1], np.ones((num_steps, 2)))
+    return ImuSegment(np.full(num_steps, 0.005), gyro, accel, end_ns, gyro[-1], np.ones((num_steps, 6)))
 
 
 def difference(a: Preintegration, b: Preintegration) -> FloatArray:

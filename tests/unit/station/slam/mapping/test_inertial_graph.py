@@ -28,7 +28,7 @@ DIMENSIONS = {"x": 6, "v": 3, "b": 6, "w": 2}
 def link(rng: np.random.Generator) -> Preintegration:
     n = 30
     accel = rng.normal(size=(n, 3)) + np.array([0.0, 0.0, 9.8])
-    segment = ImuSegment(np.full(n, 0.005), rng.normal(size=(n, 3)), accel, 0, np.zeros(3), np.ones((n, 2)))
+    segment = ImuSegment(np.full(n, 0.005), rng.normal(size=(n, 3)), accel, 0, np.zeros(3), np.ones((n, 6)))
     return preintegrate(segment, 0.01 * rng.normal(size=6), NOISE)
 
 

@@ -26,7 +26,7 @@ def stop_and_go() -> tuple[BundleState, InertialTerms]:
     for k in range(VIEWS - 1):
         part = slice(k * per_view, (k + 1) * per_view)
         steps = np.full(per_view, DT_S)
-        segment = ImuSegment(steps, np.zeros((per_view, 3)), accel[part], 0, np.zeros(3), np.ones((per_view, 2)))
+        segment = ImuSegment(steps, np.zeros((per_view, 3)), accel[part], 0, np.zeros(3), np.ones((per_view, 6)))
         link = preintegrate(segment, np.zeros(6), NOISE)
         links.append(link)
         fall = np.array([0.0, 0.0, -9.81])

@@ -30,7 +30,7 @@ def keyframe(number: int) -> SmoothKeyframe:
     t_ns = 150_000_000 * number
     source = RecentFrame(ImageFrame(number, t_ns, 0, b""), none, t_ns, None, None, None, None)
     steps = np.full(30, 0.005)
-    imu = ImuSegment(steps, np.full((30, 3), 0.1), np.full((30, 3), 5.0), t_ns, np.zeros(3), np.ones((30, 2)))
+    imu = ImuSegment(steps, np.full((30, 3), 0.1), np.full((30, 3), 5.0), t_ns, np.zeros(3), np.ones((30, 6)))
     link = preintegrate(imu, np.zeros(6), NOISE) if number else None
     return SmoothKeyframe(
         number, source, none, link, None, 3, False, np.eye(4), np.zeros(3), np.zeros(6), np.zeros(3), 0,

@@ -22,7 +22,7 @@ def imu(turn_rate: float) -> ImuSegment:
     """A twentieth of a second."""
     n = 10
     gyro = np.tile([0.0, 0.0, turn_rate], (n, 1))
-    return ImuSegment(np.full(n, 0.005), gyro, np.zeros((n, 3)), 0, gyro[-1], np.ones((n, 2)))
+    return ImuSegment(np.full(n, 0.005), gyro, np.zeros((n, 3)), 0, gyro[-1], np.ones((n, 6)))
 
 
 def coast(anchor: Anchor, turn_rate: float, speed: float | None, frames: int) -> Coasting:

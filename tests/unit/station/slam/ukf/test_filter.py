@@ -81,7 +81,7 @@ def imu_segment(seed: int, steps: int = 10) -> ImuSegment:
         accel=rng.normal(size=(steps, 3)) * 2.0 + [0, 0, 9.81],
         end_t_ns=50_000_000,
         end_gyro=np.zeros(3),
-        noise_scale=np.ones((steps, 2)),
+        noise_scale=np.ones((steps, 6)),
     )
 
 
