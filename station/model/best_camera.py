@@ -21,6 +21,7 @@ from station.model.navigation import Navigation, NavigationReport
 # focal length to about a per cent, and a camera is mounted by eye.
 TOLD_FOCAL_SIGMA = 0.01
 TOLD_MOUNTING_SIGMA_DEG = 1.0
+CONTRADICTED = 9.49  # chi-squared, 95 % of four degrees of freedom: focal length and mounting
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +48,18 @@ def corrected(told: CameraCalibration, fit: CalibrationFit | None) -> KnownCamer
         told, fx=longer * told.fx, fy=longer * told.fy, T_body_cam=tuple(T.ravel().tolist())
     )
     return KnownCamera(camera, TOLD_FOCAL_SIGMA * math.sqrt(1.0 - gain))
+
+
+def unless_it_fits(told: CameraCalibration, fit: CalibrationFit | None) -> CameraCalibration:
+    """As told where what the drive says is no further from it than its uncertainty makes likely; else corrected.
+
+    A correction within that is noise of the drive's own where the told camera was measured: 0.2 degrees of mounting
+    made maps of flats 1 % too large (docs/studies/ukf-map.md).
+    """
+    if fit is None:
+        return told
+    off = [math.log(fit.focal_scale) / fit.focal_sigma, *np.divide(fit.mounting_deg, fit.mounting_sigma_deg)]
+    return told if float(np.square(off).sum()) < CONTRADICTED else corrected(told, fit).camera
 
 
 def best_camera(

@@ -14,7 +14,7 @@ from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, upright
 from station.slam.mapping.inertial_terms import InertialTerms
 from station.slam.mapping.odometry_bundle import BundleState
-from station.slam.mapping.odometry_mapping import LAST_SCALES, OdometryMap, odometry_map, refine
+from station.slam.mapping.odometry_mapping import LAST_SCALES, OdometryMap, by_motions, odometry_map, refine
 
 ROUNDS = 2  # observations that fitted only the old scale or tilt come back in the second
 
@@ -34,7 +34,8 @@ def lay_on_imu(
     state = _upright(made.state, T_world_body[:, 2, :3])
     turned = state.R_world_body @ np.swapaxes(T_world_body[:, :3, :3], 1, 2)
     state = replace(state, motion=terms.start((turned @ v_world[:, :, None])[:, :, 0]))
-    state, kept = refine(state, made.tracks, made.rays, terms, camera, LAST_SCALES * ROUNDS, damping=1e-8)
+    adjuster = by_motions(terms, damping=1e-8)
+    state, kept = refine(state, made.tracks, made.rays, adjuster, camera, LAST_SCALES * ROUNDS)
     return odometry_map(state, kept, made.rays, camera, made.num_loops, made.num_matches)
 
 

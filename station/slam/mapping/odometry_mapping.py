@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -36,12 +37,33 @@ from station.vision.lens import Lens
 from station.vision.triangulation import intersect_rays
 from station.vision.two_view import epipolar_inliers
 
-# Cauchy scales (px): wide while poses are dead reckoned or a loop has just been closed, then as sharp as the pictures.
-FIRST_SCALES = (12.0, 4.0)
-LOOP_SCALES = (40.0, 10.0, 2.0)
-LAST_SCALES = (1.5,)
+LAST_SCALES = (1.5,)  # px, of robust losses: as sharp as the pictures
 OBSERVATIONS_PER_KEYFRAME = 60  # in bundle adjustment; more do not move the poses
 GATE = 4.0  # observations further off than this many scales wait for the next round
+
+
+class Adjuster(Protocol):
+    """Better poses of keyframes and points, by what is seen and what else is known of the motion."""
+
+    def __call__(self, state: BundleState, seen: Observations, scale_px: float) -> BundleState:
+        """Args: scale_px: of the robust loss."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Scales:
+    """Of the robust losses, one round each (px): wide while poses are rough, or a loop has just been closed."""
+
+    first: tuple[float, ...] = (12.0, 4.0)
+    loop: tuple[float, ...] = (40.0, 10.0, 2.0)
+
+
+DEAD_RECKONED_SCALES = Scales()
+
+
+def by_motions(motion: MotionTerms, damping: float = 1e-4) -> Adjuster:
+    """Our own bundle adjustment."""
+    return lambda state, seen, scale_px: adjust(state, seen, motion, scale_px, damping)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +94,7 @@ def map_with_odometry(
         matches: unverified descriptor matches of keyframes near in time.
     """
     rays = [straight_rays(f, int(t), odometry.track, camera) for f, t in zip(features, t_imu_ns, strict=True)]
-    return map_with_motions(features, rays, matches, odometry, camera, config)
+    return map_with_motions(features, rays, matches, odometry, camera, config, by_motions(odometry))
 
 
 def map_with_motions(
@@ -82,11 +104,14 @@ def map_with_motions(
     odometry: RelativeMotions,
     camera: CameraCalibration,
     config: MappingConfig,
+    adjuster: Adjuster,
     rows: Sequence[RowMotion] | None = None,
+    scales: Scales = DEAD_RECKONED_SCALES,
 ) -> OdometryMap:
     """Map keyframes whose relative motions are given, whoever measured them.
 
     Args:
+        adjuster: makes the poses better.
         rays: (n, 2) of each keyframe: its features' normalised coordinates as if the camera had not turned while it
             exposed its rows, at the time its pose is for.
         rows: how the camera of each keyframe moved meanwhile; None: it is not known, or all rows were exposed at once.
@@ -105,18 +130,17 @@ def map_with_motions(
     )
     counts = [len(f) for f in features]
     tracks = build_tracks(counts, verified)
-    state, kept = refine(state, tracks, rays, odometry, camera, FIRST_SCALES)
+    state, kept = refine(state, tracks, rays, adjuster, camera, scales.first)
     turned = rays
     rays = stood_still(turned, rows, state, kept, camera)
     loops = find_loops(features, rays, state, kept, T_body_cam, camera.fx, odometry.drift, config.matching)
     if loops:
         # What did not fit its neighbours does not come back while residuals are wide.
-        state, kept = refine(
-            state, build_tracks(counts, [*agreed(verified, kept, counts), *loops]), rays, odometry, camera, LOOP_SCALES
-        )
+        looped = build_tracks(counts, [*agreed(verified, kept, counts), *loops])
+        state, kept = refine(state, looped, rays, adjuster, camera, scales.loop)
         tracks = build_tracks(counts, [*verified, *loops])
         rays = stood_still(turned, rows, state, kept, camera)
-    state, kept = refine(state, tracks, rays, odometry, camera, LAST_SCALES)
+    state, kept = refine(state, tracks, rays, adjuster, camera, LAST_SCALES)
     return odometry_map(state, kept, rays, camera, len(loops), len(verified))
 
 
@@ -212,10 +236,9 @@ def refine(
     state: BundleState,
     tracks: Tracks,
     rays: Sequence[FloatArray],
-    motion: MotionTerms,
+    adjuster: Adjuster,
     camera: CameraCalibration,
     scales: Sequence[float],
-    damping: float = 1e-4,
 ) -> tuple[BundleState, Tracks]:
     """Triangulate all tracks and adjust, with ever stricter residuals; the observations that fit at the end."""
     kept = tracks
@@ -223,14 +246,8 @@ def refine(
         kept, points = triangulate_and_prune(state, tracks, rays, camera, GATE * scale)
         used = longest(kept, OBSERVATIONS_PER_KEYFRAME)
         few = kept.only(used[kept.point])
-        state = adjust(
-            replace(state, points=points[used]),
-            observations(few, rays, camera),
-            motion,
-            scale,
-            damping,
-        )
-    kept, points = triangulate_and_prune(state, tracks, rays, camera, GATE * scales[-1])
+        state = adjuster(replace(state, points=points[used]), observations(few, rays, camera), scale)
+    kept, points = triangulate_and_prune(state, tracks, rays, camera, GATE * [*LAST_SCALES, *scales][-1])
     return replace(state, points=points), kept
 
 

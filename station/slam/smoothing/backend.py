@@ -9,29 +9,33 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 
 import numpy as np
 
-from shared.calibration import Calibration
+from shared.calibration import Calibration, CameraCalibration
 from shared.errors import DegenerateGeometry
 from shared.geometry import FloatArray, inverse, se3
+from station.model.best_camera import unless_it_fits
 from station.model.frames import DriveSample, ImageArray, ImageFrame, ImuBatch
 from station.model.navigation import Navigation
 from station.model.slam_update import SlamUpdate
 from station.motion.preintegration import preintegrate
 from station.slam.mapping.report import plain_settings
-from station.slam.smoothing.batch import BatchInput, as_keyframe, smooth_segment
+from station.slam.smoothing.batch import GATES, BatchInput, as_keyframe, smooth_segment
 from station.slam.smoothing.config import SmoothingConfig
 from station.slam.smoothing.fixed_lag import FixedLagWindow
 from station.slam.smoothing.keyframe import SmoothKeyframe
 from station.slam.smoothing.landmarks import LandmarkTable
 from station.slam.smoothing.search import Recaller
+from station.slam.smoothing.view_adjuster import ViewAdjuster
 from station.slam.ukf.backend import UkfBackend
 from station.slam.ukf.filter.constraints import WheelsKnown
 from station.slam.ukf.filter.state import FilterState
 from station.slam.ukf.map.keyframes import sample_colours
 from station.slam.ukf.map.pose_log import follow_poses
+from station.slam.ukf.map.view_map import BetterKnown
 from station.slam.ukf.memory import NavigationMemory, RecentFrame
 from station.vision.camera_model import CameraModel
 from station.vision.features import Features
@@ -276,22 +280,35 @@ class SmoothingBackend:
         )
         return replace(nav, id=nav.id.replace("ukf", "smoothing", 1), report=report)
 
-    def _improve(self, memory: NavigationMemory) -> None:
+    def _improve(self, memory: NavigationMemory) -> BetterKnown:
         """Everything in one problem; poses, keyframes and views of the map follow."""
         wheels = WheelsKnown.before_the_drive(self._config.odometry.wheels) if self._calibration.has_wheels else None
-        given = BatchInput(self._camera, self._noise, self._calibration.gravity, self._config, wheels)
+        camera = self._best_camera(memory)
+        model = CameraModel.of(camera, self._config.sigma_px)
+        given = BatchInput(model, self._noise, self._calibration.gravity, self._config, wheels)
+        gates = GATES if memory.views is None else GATES[:1]  # the second round is that of the ViewAdjuster
+        parts: dict[int, list[SmoothKeyframe]] = {}
         for segment, table in self._tables.items():
             # Of those since an outage that ended the segment no poses are kept.
             part = [k for k in self._keyframes if k.segment == segment and self._pose_of(k, memory) is not None]
             if len(part) < 3:
                 continue
             for k in part:
-                k.tracked = table.named(k.tracked)
+                named = table.named(k.tracked)
+                k.tracked = replace(named, xy=model.lens.unproject(named.uv_px))
+            parts[segment] = part
             try:
-                smooth_segment(part, given)
+                smooth_segment(part, given, gates)
             except DegenerateGeometry as exc:
                 self._messages.append(f"piece {segment + 1} of the way stays as it was known on the way: {exc}")
             self._hand_over(part, memory, segment)
+        return BetterKnown(camera, {segment: partial(ViewAdjuster, part, given) for segment, part in parts.items()})
+
+    def _best_camera(self, memory: NavigationMemory) -> CameraCalibration:
+        """As told, unless the drive contradicts it. Tracks of a map without views know it no better than was told."""
+        told = self._calibration.camera
+        assert told is not None
+        return told if memory.views is None else unless_it_fits(told, memory.calibration_check.finish())
 
     @staticmethod
     def _pose_of(keyframe: SmoothKeyframe, memory: NavigationMemory) -> FloatArray | None:

@@ -36,7 +36,7 @@ from station.slam.ukf.map.pose_log import follow_poses
 from station.vision.camera_model import CameraModel
 from station.vision.lens import BoolArray
 
-GATES = (6.0, 3.0)  # sigmas, one round of least squares each
+GATES = (6.0, 3.0)  # sigmas
 MAX_DEPTH_SIGMA = 0.5  # relative; a landmark known worse says nothing of positions
 MAX_ITERATIONS = 12
 NO_SOLUTION = "keyframes and landmarks leave the equations without a single solution"
@@ -52,18 +52,18 @@ class BatchInput:
     wheels: WheelsKnown | None
 
 
-def smooth_segment(whole: list[SmoothKeyframe], given: BatchInput) -> None:
+def smooth_segment(whole: list[SmoothKeyframe], given: BatchInput, gates: tuple[float, ...] = GATES) -> None:
     """Give all keyframes their final poses, velocities and biases, or leave them as they are.
+
+    Args: gates: sigmas, one round of least squares each.
 
     Raises:
         DegenerateGeometry: the equations have no single solution.
     """
     keyframes = [replace(k) for k in thinned(whole, given.config.max_keyframes)]
     T_before = np.array([k.T_world_body for k in keyframes])
-    for gate in GATES:
-        table = TrackObservations.of([as_keyframe(k) for k in keyframes])
-        ids, points, table = _triangulated(keyframes, table, given.camera, gate)
-        _solve(keyframes, table, ids, points, given)
+    for gate in gates:
+        SegmentProblem(keyframes, gate, given).solve()
     _bring_along(whole, keyframes, T_before)
 
 
@@ -168,29 +168,39 @@ def distances(
     return xy, sigma, distance
 
 
-def _solve(
-    keyframes: list[SmoothKeyframe],
-    table: TrackObservations,
-    ids: IntArray,
-    points: FloatArray,
-    given: BatchInput,
-) -> None:
-    graph, values = motion_graph(keyframes, given)
-    _, at = _rows(ids, table.track)
-    xy, sigma, distance = distances(keyframes, table, points[at], given.camera)
-    T_body_cam = to_pose(camera_pose(np.eye(4), given.camera))
-    for f, p in enumerate(points):
-        values.insert(landmark_key(f), p)
+class SegmentProblem:
+    """Keyframes of one segment, what is known of their motion, and the landmarks that their tracks show."""
+
+    def __init__(self, keyframes: Sequence[SmoothKeyframe], gate: float, given: BatchInput) -> None:
+        """Args: gate: sigmas within which observations fit."""
+        self._keyframes = keyframes
+        table = TrackObservations.of([as_keyframe(k) for k in keyframes])
+        ids, points, table = _triangulated(keyframes, table, given.camera, gate)
+        self.num_landmarks = len(points)
+        self.graph, self._values = motion_graph(keyframes, given)
+        for f, p in enumerate(points):
+            self.add_landmark(f, p)
+        _, at = _rows(ids, table.track)
+        xy, sigma, distance = distances(keyframes, table, points[at], given.camera)
+        T_body_cam = to_pose(camera_pose(np.eye(4), given.camera))
+        for i in np.flatnonzero(np.isfinite(distance)).tolist():
+            number = keyframes[int(table.keyframe[i])].number
+            self.graph.push_back(
+                reprojection_factor(number, int(at[i]), xy[i], sigma[i], given.config.huber, T_body_cam)
+            )
+
+    def add_landmark(self, number: int, p_world: FloatArray) -> None:
+        self._values.insert(landmark_key(number), p_world)
         weak = gtsam.noiseModel.Isotropic.Sigma(3, 100.0)
-        graph.push_back(gtsam.PriorFactorPoint3(landmark_key(f), p, weak))
-    for i in np.flatnonzero(np.isfinite(distance)).tolist():
-        number = keyframes[int(table.keyframe[i])].number
-        graph.push_back(reprojection_factor(number, int(at[i]), xy[i], sigma[i], given.config.huber, T_body_cam))
-    values = optimised(graph, values)
-    for k in keyframes:
-        k.T_world_body = values.atPose3(pose_key(k.number)).matrix()
-        k.v_world = values.atVector(velocity_key(k.number))
-        k.bias = values.atVector(bias_key(k.number))
+        self.graph.push_back(gtsam.PriorFactorPoint3(landmark_key(number), p_world, weak))
+
+    def solve(self) -> None:
+        """Give the keyframes their most likely states. Raises DegenerateGeometry: there is no single solution."""
+        values = optimised(self.graph, self._values)
+        for k in self._keyframes:
+            k.T_world_body = values.atPose3(pose_key(k.number)).matrix()
+            k.v_world = values.atVector(velocity_key(k.number))
+            k.bias = values.atVector(bias_key(k.number))
 
 
 def motion_graph(

@@ -32,6 +32,7 @@ from station.slam.ukf.filter.state import NO_HEAD, FilterState, add_wheels
 from station.slam.ukf.filter.update import is_finite
 from station.slam.ukf.finish import make_navigation, make_report
 from station.slam.ukf.map.keyframes import is_grey, sample_grey
+from station.slam.ukf.map.view_map import BetterKnown
 from station.slam.ukf.map.views import MapViews
 from station.slam.ukf.memory import NavigationMemory, Points, RecentFrame
 from station.slam.ukf.monitor import CONTRADICTION, LIFTED, TrackingMonitor
@@ -309,12 +310,12 @@ class UkfBackend:
         """End the navigation. Raises EstimationError, with the reason, when nothing could be reconstructed."""
         return self.finish_improved(None)
 
-    def finish_improved(self, improve: Callable[[NavigationMemory], None] | None) -> Navigation:
+    def finish_improved(self, improve: Callable[[NavigationMemory], BetterKnown] | None) -> Navigation:
         """The same; `improve` gives what somebody else knows of the keyframes by now, instead of refining them."""
         with self._blas.limit(limits=1):
             return self._finish(improve)
 
-    def _finish(self, improve: Callable[[NavigationMemory], None] | None) -> Navigation:
+    def _finish(self, improve: Callable[[NavigationMemory], BetterKnown] | None) -> Navigation:
         memory, intake, config = self._memory, self._intake, self._config
         if improve is not None:
             config = replace(config, refine=False)
@@ -326,11 +327,10 @@ class UkfBackend:
             raise EstimationError("no usable image came; the ukf backend needs images and IMU samples")
         if not len(memory.poses) or not memory.keyframes.items:
             raise EstimationError(f"tracking never started: {self._last_message}")
-        if improve is not None:
-            improve(memory)
+        better = None if improve is None else improve(memory)
         report = make_report(intake, self._imu.counts, self._lost_ns * 1e-9, self._seed, config, self._messages)
         return make_navigation(
-            f"ukf-{intake.first_t_ns}", memory, self._camera, self._calibration, config, report
+            f"ukf-{intake.first_t_ns}", memory, self._camera, self._calibration, config, report, better
         )  # fmt: skip
 
     # ---- small helpers

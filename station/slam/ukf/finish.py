@@ -22,7 +22,7 @@ from station.slam.ukf.filter.constraints import WheelsKnown
 from station.slam.ukf.map.keyframes import Keyframe
 from station.slam.ukf.map.landmark_map import TrackObservations, assemble, make_landmarks
 from station.slam.ukf.map.refine import refine_segment
-from station.slam.ukf.map.view_map import map_views
+from station.slam.ukf.map.view_map import BetterKnown, map_views
 from station.slam.ukf.memory import NavigationMemory
 from station.vision.camera_model import CameraModel
 
@@ -34,14 +34,16 @@ def make_navigation(
     calibration: Calibration,
     config: UkfConfig,
     report: NavigationReport,
+    better: BetterKnown | None,
 ) -> Navigation:
     """Trajectory, keyframes and landmarks of the navigation; completes the report.
 
     Args:
+        better: by a backend that builds on this one.
         calibration: as told; that of a map from views is corrected by what the drive says of it.
     """
     fit = memory.calibration_check.finish()
-    made = _from_views(memory, camera, calibration, fit, config)
+    made = _from_views(memory, camera, calibration, fit, config, better)
     made = made or _from_tracks(memory, camera, calibration, config)
     report = replace(
         report,
@@ -72,6 +74,7 @@ def _from_views(
     calibration: Calibration,
     fit: CalibrationFit | None,
     config: UkfConfig,
+    known: BetterKnown | None,
 ) -> _Made | None:
     """Loops closed and everything refined, by the camera as the drive's end knows it.
 
@@ -80,7 +83,7 @@ def _from_views(
     if memory.views is None:
         return None
     assert calibration.camera is not None and calibration.imu is not None
-    better = corrected(calibration.camera, fit).camera
+    better = corrected(calibration.camera, fit).camera if known is None else known.camera
     made = map_views(
         memory.views,
         memory.poses,
@@ -90,6 +93,7 @@ def _from_views(
         calibration.gravity,
         WheelsKnown.before_the_drive(config.wheels) if calibration.has_wheels else None,
         lambda: len(make_landmarks(memory.keyframes.items, camera, config.quality)),
+        known,
     )
     if made is None:
         return None

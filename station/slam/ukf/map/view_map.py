@@ -19,7 +19,14 @@ from station.slam.mapping.assemble import Reconstructed
 from station.slam.mapping.inertial_mapping import lay_on_imu
 from station.slam.mapping.inertial_terms import InertialTerms, WheelTerms
 from station.slam.mapping.odometry import Drift, RelativeMotions
-from station.slam.mapping.odometry_mapping import map_with_motions, read_odometry_map
+from station.slam.mapping.odometry_mapping import (
+    DEAD_RECKONED_SCALES,
+    Adjuster,
+    Scales,
+    by_motions,
+    map_with_motions,
+    read_odometry_map,
+)
 from station.slam.mapping.rolling_shutter import RowMotion, turned_back
 from station.slam.ukf.filter.constraints import WheelsKnown
 from station.slam.ukf.map.pose_log import PoseLog
@@ -28,6 +35,7 @@ from station.vision.camera_model import CameraModel
 from station.vision.klt import MIN_FOLLOWED
 
 MIN_VIEWS = 3
+SMOOTHED_SCALES = Scales(first=(), loop=(10.0,))  # poses that least squares has made need no way in
 # Homes of plain walls give 14 to 17 and the IMU bends their maps, furnished flats over 80 and it mends their scale.
 LANDMARKS_PER_VIEW_FOR_IMU = 40
 MIN_LANDMARKS_PER_VIEW = 10  # a furnished flat gives a hundred
@@ -43,6 +51,14 @@ SIGMA_FLOOR_RAD = 2e-4
 # Drives of 20 m are followed within some 0.05 m; with what dead reckoning may be off by, chairs that look alike closed
 # loops (docs/studies/ukf-map.md).
 DRIFT = Drift(position_m=0.15, position_per_way=0.02, rotation_rad=0.09)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BetterKnown:
+    """What a backend that builds on the filter knows at the end: its poses are in the pose log already."""
+
+    camera: CameraCalibration
+    adjuster_of: dict[int, Callable[[list[int], FloatArray], Adjuster]]  # by segment: of views by frame index and pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,8 +80,11 @@ def map_views(
     gravity: float,
     wheels: WheelsKnown | None,
     count_tracks: Callable[[], int],
+    better: BetterKnown | None = None,
 ) -> ViewMap | None:
     """Map every segment and move its poses along. `wheels`: what is known of them before the drive.
+
+    Args: better: whose equations hold the IMU, so that they are asked in place of the filter's motions.
 
     None where views have too few landmarks, and tracks would give more (`count_tracks` tells how many): SIFT cannot
     tell the fields of a chessboard apart, tracks can. Before plain walls both have few, and those of views are
@@ -84,17 +103,24 @@ def map_views(
         features = [v.features for v in items]
         rays = [straight_rays(v, camera) for v in items]
         rows = [row_motion(v, camera) for v in items] if camera.line_delay_s else None
-        made = map_with_motions(features, rays, pairs, motions, calibration, views.mapping, rows)
+        adjuster, scales = by_motions(motions), DEAD_RECKONED_SCALES
+        is_smoothed = better is not None and number in better.adjuster_of
+        if better is not None and is_smoothed:
+            adjuster, scales = (
+                better.adjuster_of[number]([v.frame_index for v in items], motions.T_world_body),
+                SMOOTHED_SCALES,
+            )
+        made = map_with_motions(features, rays, pairs, motions, calibration, views.mapping, adjuster, rows, scales)
         if made.tracks.num_points == 0:
             continue
-        terms = inertial_terms(items, noise, gravity, wheels)
+        terms = None if is_smoothed else inertial_terms(items, noise, gravity, wheels)
         if made.tracks.num_points < LANDMARKS_PER_VIEW_FOR_IMU * len(items):
             terms = None  # too many views hang on the filter's motions, which had tracks of what no view finds again
         if terms is not None:
             v_world = np.array([v.keyframe.v_world for v in items])
             made = lay_on_imu(made, motions.T_world_body, v_world, terms, calibration)
         part = read_odometry_map(made, [v.keyframe.image for v in items], features, calibration, views.mapping)
-        if terms is None:
+        if terms is None and not is_smoothed:
             part = level(part, motions.T_world_body, calibration)
         parts.append((part, items, motions.T_world_body))
         loops += made.num_loops

@@ -10,7 +10,14 @@ import pytest
 
 from shared.calibration import REFERENCE_CAMERA, CameraCalibration
 from shared.geometry import so3_log
-from station.model.best_camera import TOLD_FOCAL_SIGMA, TOLD_MOUNTING_SIGMA_DEG, best_camera, corrected, misfit_of
+from station.model.best_camera import (
+    TOLD_FOCAL_SIGMA,
+    TOLD_MOUNTING_SIGMA_DEG,
+    best_camera,
+    corrected,
+    misfit_of,
+    unless_it_fits,
+)
 from station.model.calibration_fit import CalibrationFit, judge
 from station.model.navigation import Navigation
 from tests.support.places import make_map
@@ -60,6 +67,16 @@ def test_a_turned_camera_is_turned_back_by_as_much_as_is_known(axis: int) -> Non
     R_told_now = REFERENCE_CAMERA.T_body_cam_matrix[:3, :3].T @ camera.T_body_cam_matrix[:3, :3]
     assert np.degrees(so3_log(R_told_now)) == pytest.approx(turned / 2.0)
     assert camera.T_body_cam_matrix[:3, 3] == pytest.approx(REFERENCE_CAMERA.T_body_cam_matrix[:3, 3])
+
+
+@pytest.mark.parametrize(("sigmas", "is_corrected"), [(0.0, False), (-2.9, False), (3.3, True), (-7.0, True)])
+def test_what_the_drive_cannot_tell_from_the_told_camera_corrects_nothing(sigmas: float, is_corrected: bool) -> None:
+    focal = focal_fit(np.exp(0.003 * sigmas), 0.003)
+    turned = judge((1.0, 0.003), np.array([0.0, 0.2 * sigmas, 0.0]), np.full(3, 0.2), (0.0, 0.001))
+    for fit in (focal, turned):
+        chosen = corrected(REFERENCE_CAMERA, fit).camera if is_corrected else REFERENCE_CAMERA
+        assert unless_it_fits(REFERENCE_CAMERA, fit) == chosen
+    assert unless_it_fits(REFERENCE_CAMERA, None) == REFERENCE_CAMERA
 
 
 def test_images_of_a_robot_that_tells_the_same_are_looked_for_with_the_camera_of_the_map() -> None:
