@@ -10,7 +10,7 @@ import numpy as np
 
 from shared.geometry import FloatArray, IntArray
 from station.places.rooms.rectangles import Rectangle
-from station.places.rooms.sides import DOOR_PIECES, Sides, gaps_of, likeliest_walls, score_of
+from station.places.rooms.sides import Sides, gap_costs, gaps_of
 from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Surfaces
 from station.places.rooms.wall_model import WallModel
 
@@ -56,24 +56,35 @@ def find_borders(
     joined, passages, lead = [], [], {}
     for (a, first), (b, second), axis in _neighbours(rectangles):
         low, high = _shorter(first, second, axis)
-        odds = np.zeros((1, high - low))
+        odds = np.zeros(high - low)
         for r, sign in ((first, -1), (second, 1)):
             own = r.pieces(axis)
             part = slice(max(own.start, low), min(own.stop, high))
-            odds[0, part.start - low : part.stop - low] += sides.odds[axis, sign][r.plane((axis, sign)), part]
-        is_wall = likeliest_walls(odds, model)
-        odds_of_two = float(score_of(is_wall, odds, model).sum())
+            odds[part.start - low : part.stop - low] += sides.odds[axis, sign][r.plane((axis, sign)), part]
+        gap, odds_of_two = _likeliest_gap(odds, model)
         lead[a, b] = abs(odds_of_two)
-        widest = max((end - begin for begin, end in gaps_of(is_wall[0])), default=0)
-        if odds_of_two <= 0 and widest > DOOR_PIECES[-1]:  # an opening; a door parts rooms
+        if odds_of_two < 0:
             joined.append((a, b))
         across = 0.5 * (edges[a, 2 * axis + 1] + edges[b, 2 * axis])
         begin, end = _shared(first, second, axis)
-        for gap in gaps_of(is_wall[0]):
-            gap_begin, gap_end = max(low + gap[0], begin), min(low + gap[1], end)
-            if (gap_end - gap_begin) * PIECE_M >= LEAST_DOOR_M:
-                passages.append(Passage(a, b, _line(surfaces, axis, across, gap_begin, gap_end)))
+        begin, end = max(low + gap[0], begin), min(low + gap[1], end)
+        if (end - begin) * PIECE_M >= LEAST_DOOR_M:
+            passages.append(Passage(a, b, _line(surfaces, axis, across, begin, end)))
     return Borders(tuple(joined), lead, tuple(passages))
+
+
+def _likeliest_gap(odds: FloatArray, model: WallModel) -> tuple[tuple[int, int], float]:
+    """Begin and end of the gap in a wall between two rooms, equal without one, and nats by which there is such a wall.
+
+    Two rooms have one door between them, or none: what opens in two places parts nothing. A door costs nothing here,
+    since who is in both rooms came through one; a wider opening costs as much more as it is the less usual.
+    """
+    below = np.concatenate([[0.0], np.cumsum(odds)])
+    begin, end = np.triu_indices(len(below), 1)
+    left = below[-1] - (below[end] - below[begin]) - gap_costs(end - begin, model)
+    best = int(left.argmax())
+    gap = (int(begin[best]), int(end[best])) if left[best] > below[-1] else (0, 0)
+    return gap, float(max(below[-1], left[best] + model.door))
 
 
 def walls_of(rectangles: Sequence[Rectangle], edges: FloatArray, surfaces: Surfaces, sides: Sides) -> FloatArray:
