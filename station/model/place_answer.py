@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from shared.geometry import FloatArray, IntArray
+from station.model.place_map import ROOM_SEPARATOR
 
 PlaceState = Literal["known", "unknown", "lost"]
 
@@ -53,10 +54,17 @@ class RoomCandidate:
 
 
 def where(place: str, room: str) -> str:
-    """Names of the place and the room in words, each empty where it is not known: "at Sofa in Living room"."""
-    if place and room and not place.startswith(room):
-        return f"at {place} in {room}"
-    return f"at {place}" if place else f"in {room}" if room else ""
+    """Names of the place and the room in words, each empty where it is not known: "at Sofa in Living room".
+
+    A place that is called after its room says the room already. In a doorway the nearest place may be another room's:
+    "in Hall, near Kitchen · door to Hall".
+    """
+    of_room, is_in_room, _ = place.partition(ROOM_SEPARATOR)
+    if not (place and room):
+        return f"at {place}" if place else f"in {room}" if room else ""
+    if is_in_room and of_room != room:
+        return f"in {room}, near {place}"
+    return f"at {place}" if is_in_room or place == room else f"at {place} in {room}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,6 +10,7 @@ from station.model.floor_plan import FloorPlan, NameSuggestion, PlanEdits
 from station.model.navigation import Navigation
 
 EdgeKind = Literal["seen together", "driven between", "nearest"]
+ROOM_SEPARATOR = " · "  # in the name of a place that is called after its room
 PlaceGrain = Literal["rooms", "fine"]  # a few places in each room, or every cluster of landmarks
 
 

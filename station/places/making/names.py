@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from station.model.place_map import ROOM_SEPARATOR
+
 NAME_PREFIX = "Place "
-ROOM_SEPARATOR = " · "
 DOOR_SIDE = "door side"  # of a room with one door
 DOOR_TO = "door to"
 

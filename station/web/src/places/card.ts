@@ -64,7 +64,7 @@ export class PlaceView {
     card.dataset.room = String(place.room !== null);
     const at = by("place-at");
     show(at, room !== null);
-    setText(at, place.place ? `${place.place.name}, ${percent(place.probability)}` : otherwise);
+    setText(at, place.place ? `${placeInWords(place, place.place.name)}, ${percent(place.probability)}` : otherwise);
     const shown = place.room?.probability ?? (place.place ? place.probability : place.preparing);
     setText(by("place-probability"), shown === null ? "" : percent(shown));
     setText(
@@ -132,6 +132,12 @@ function roomInWords({ room, room_alternatives: others, doorway }: CurrentPlace)
   if (room) return doorway !== null && others[0] ? `${room.name} / ${others[0].name}` : room.name;
   const likely = others.filter((other) => other.probability >= HARDLY);
   return likely.length === 2 ? `${likely.map((other) => other.name).join(" or ")}?` : null;
+}
+
+/** The nearest place; "near" it where the robot is in another room than the one that it is called after. */
+function placeInWords({ room, doorway }: CurrentPlace, name: string): string {
+  const [ofRoom, which] = name.split(" · ");
+  return room && doorway === null && which !== undefined && ofRoom !== room.name ? `near ${name}` : name;
 }
 
 function setImage(image: HTMLImageElement, path: string | null): void {
