@@ -10,7 +10,7 @@ import numpy as np
 
 from shared.geometry import FloatArray, IntArray
 from station.places.rooms.rectangles import Rectangle
-from station.places.rooms.sides import Sides, gap_costs, gaps_of
+from station.places.rooms.sides import Sides, gaps_of, likeliest_gap
 from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Surfaces
 from station.places.rooms.wall_model import WallModel
 
@@ -61,7 +61,7 @@ def find_borders(
             own = r.pieces(axis)
             part = slice(max(own.start, low), min(own.stop, high))
             odds[part.start - low : part.stop - low] += sides.odds[axis, sign][r.plane((axis, sign)), part]
-        gap, odds_of_two = _likeliest_gap(odds, model)
+        gap, odds_of_two = likeliest_gap(odds, model)
         lead[a, b] = abs(odds_of_two)
         if odds_of_two < 0:
             joined.append((a, b))
@@ -71,20 +71,6 @@ def find_borders(
         if (end - begin) * PIECE_M >= LEAST_DOOR_M:
             passages.append(Passage(a, b, _line(surfaces, axis, across, begin, end)))
     return Borders(tuple(joined), lead, tuple(passages))
-
-
-def _likeliest_gap(odds: FloatArray, model: WallModel) -> tuple[tuple[int, int], float]:
-    """Begin and end of the gap in a wall between two rooms, equal without one, and nats by which there is such a wall.
-
-    Two rooms have one door between them, or none: what opens in two places parts nothing. A door costs nothing here,
-    since who is in both rooms came through one; a wider opening costs as much more as it is the less usual.
-    """
-    below = np.concatenate([[0.0], np.cumsum(odds)])
-    begin, end = np.triu_indices(len(below), 1)
-    left = below[-1] - (below[end] - below[begin]) - gap_costs(end - begin, model)
-    best = int(left.argmax())
-    gap = (int(begin[best]), int(end[best])) if left[best] > below[-1] else (0, 0)
-    return gap, float(max(below[-1], left[best] + model.door))
 
 
 def walls_of(rectangles: Sequence[Rectangle], edges: FloatArray, surfaces: Surfaces, sides: Sides) -> FloatArray:

@@ -16,7 +16,7 @@ from scipy import sparse
 from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
 from shared.geometry import FloatArray, IntArray
-from station.places.rooms.lengths import WALL_M
+from station.places.rooms.lengths import DOORWAY_M, WALL_M
 from station.places.rooms.sides import Sides, best_runs
 from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Side, Surfaces
 from station.places.rooms.wall_model import WallModel
@@ -136,18 +136,29 @@ def _scores(surfaces: Surfaces, sides: Sides, model: WallModel, planes: list[Int
     least = LEAST_M / LINE_M
     score[(x1 - x0[:, None]) < least] = -np.inf
     score[:, :, (y1 - y0[:, None]) < least] = -np.inf
-    # The body was in it as a whole: its middle no nearer to any side than half its width.
-    inside = round(DRIVEN_M / PIECE_M)
-    visits = np.zeros((surfaces.visited.shape[0] + 1, surfaces.visited.shape[1] + 1))
-    visits[1:, 1:] = surfaces.visited.cumsum(axis=0).cumsum(axis=1)
-    x0, x1, y0, y1 = -(-x0 // 2) + inside, x1 // 2 - inside, -(-y0 // 2) + inside, y1 // 2 - inside
-    score[_within(visits, *(k.clip(0, visits.shape[axis] - 1) for k, axis in ((x0, 0), (x1, 0), (y0, 1), (y1, 1)))) < 1] = -np.inf
+    score[~_entered(surfaces, planes)] = -np.inf
     return np.asarray(score)
+
+
+def _entered(surfaces: Surfaces, planes: list[IntArray]) -> Cells:
+    """Whether the body was in each rectangle as a whole, and beyond the doorways through which it came and left."""
+    found = np.zeros(tuple(len(k) for k in planes), dtype=np.bool_)
+    for axis, visited in enumerate(surfaces.visited):
+        visits = np.zeros((visited.shape[0] + 1, visited.shape[1] + 1))
+        visits[1:, 1:] = visited.cumsum(axis=0).cumsum(axis=1)
+        inner = []
+        for k, plane in enumerate(planes):
+            off = round((DOORWAY_M if k // 2 == axis else DRIVEN_M) / PIECE_M)
+            inner.append(np.clip(-(-plane // 2) + off if k % 2 == 0 else plane // 2 - off, 0, visited.shape[k // 2]))
+        x0, x1, y0, y1 = inner
+        there = (x1 > x0[:, None])[:, :, None, None] & (y1 > y0[:, None])
+        found |= there & (_within(visits, x0, x1, y0, y1) > 0)
+    return found
 
 
 def _packed(choices: _Choices, surfaces: Surfaces) -> Packed:
     step, beside = round(PRICE_M / LINE_M), round(WALL_M / LINE_M)
-    shape = tuple(2 * n // step + 1 for n in surfaces.visited.shape)
+    shape = tuple(2 * n // step + 1 for n in surfaces.area_classes.shape)
     # The priced points in a rectangle; what lies as near its sides as a wall is thick has none.
     first = [-(-(choices.planes[k] + beside) // step) for k in (0, 2)]
     last = [np.clip((choices.planes[k] - beside) // step + 1, 0, shape[k // 2]) for k in (1, 3)]

@@ -80,7 +80,7 @@ class Surfaces:
     low: FloatArray  # (2,)
     classes: dict[Side, npt.NDArray[np.intp]]  # (planes, pieces) of the counts, for a wall seen from that side
     area_classes: npt.NDArray[np.intp]  # (X, Y) of cells as wide as a piece: how many sights passed, or the body
-    visited: Cells  # (X, Y) in which the middle of the body was
+    visited: tuple[Cells, Cells]  # (X, Y) in which the body's middle went along x rather than y, and along y
 
 
 def find_surfaces(seen: Seen) -> Surfaces | None:
@@ -99,10 +99,19 @@ def find_surfaces(seen: Seen) -> Surfaces | None:
         on = grid.landmarks_on(seen.p[sign * seen.towards[:, axis] > 0], axis)
         seen_as = _class_of(on, crossed[axis], _looked_at(crossed[axis], sign))
         classes[axis, sign] = np.where(passed[axis], PASSED, seen_as)
-    visited = grid.cells(seen.path)
-    driven = ndimage.binary_dilation(visited, np.ones((3, 3)))
+    driven = ndimage.binary_dilation(grid.cells(seen.path), np.ones((3, 3)))
     area = np.where(driven, DRIVEN, _count_class(grid.passed(seen.sights), AREA_COUNTS))
-    return Surfaces(seen, low, classes, area, visited)
+    return Surfaces(seen, low, classes, area, _visited(seen.path, grid))
+
+
+def _visited(path: FloatArray, grid: _Grid) -> tuple[Cells, Cells]:
+    """Cells by the direction of the steps through them, each as long as a cell is wide: shorter ones are jitter."""
+    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
+    at = np.unique(np.searchsorted(travelled, np.arange(0.0, travelled[-1], PIECE_M)))
+    step = np.diff(path[at], axis=0)
+    middle = 0.5 * (path[at[:-1]] + path[at[1:]])
+    goes_along_x = np.abs(step[:, 0]) > np.abs(step[:, 1])
+    return grid.cells(middle[goes_along_x]), grid.cells(middle[~goes_along_x])
 
 
 def _class_of(on: FloatArray, crossed: FloatArray, looked: FloatArray) -> npt.NDArray[np.intp]:
