@@ -22,7 +22,12 @@ from threadpoolctl import threadpool_limits
 from benchmarks.result import Figure, Run, add_results_option, share, work_folder
 from benchmarks.room_flats import FlatName, mapped_rooms, parse_worlds
 from benchmarks.room_truth import Judgement, judge
+from station.model.navigation import Navigation
+from station.places.making.scale import ground_rotation, units_per_metre
 from station.places.rooms.plan import make_floor_plan
+from station.places.space.carving import FARTHEST_M, Carving
+from station.places.space.sight import sights
+from station.places.space.space import CELL_M
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +35,7 @@ class Row:
     name: FlatName
     judgement: Judgement | None  # None: SLAM made no map
     cpu_s: float  # of the plan
+    keyframe_ms: tuple[float, ...] = ()  # CPU, of each keyframe's free space added to what was there
 
     def line(self) -> str:
         j = self.judgement
@@ -45,6 +51,7 @@ class Row:
                 "wall_error_m": round(float(np.median(j.wall_error_m)), 3) if j.wall_error_m else None,
                 "wall_missed_m": round(float(np.median(j.wall_missed_m)), 3) if j.wall_missed_m else None,
                 "cpu_s": round(self.cpu_s, 2),
+                "keyframe_ms": round(float(np.percentile(self.keyframe_ms, 95)), 2) if self.keyframe_ms else None,
             }
         )
 
@@ -56,7 +63,23 @@ def run(name: FlatName, cache: Path) -> Row:
     begin = time.process_time()
     plan = make_floor_plan(mapped.place_map.navigation, mapped.place_map.places)
     cpu_s = time.process_time() - begin
-    return Row(name, judge(mapped, plan), cpu_s)
+    return Row(name, judge(mapped, plan), cpu_s, _carved_ms(mapped.place_map.navigation))
+
+
+def _carved_ms(navigation: Navigation) -> tuple[float, ...]:
+    """CPU time of each keyframe, one after the other as while driving: how far it saw, and the cells before that."""
+    R, metre = ground_rotation(navigation), units_per_metre(navigation)
+    path = (navigation.keyframes.T_world_cam[:, :3, 3] @ R.T)[:, :2]
+    carving, spent = Carving.around(path[np.isfinite(path).all(axis=1)], metre, CELL_M), []
+    coming = sights(navigation, R, FARTHEST_M * metre)
+    next(coming, None)  # gathers the observations of all, which a drive has already
+    while True:
+        begin = time.process_time()
+        sight = next(coming, None)
+        if sight is None:
+            return tuple(spent)
+        carving.add(sight)
+        spent.append(1e3 * (time.process_time() - begin))
 
 
 def figures(rows: list[Row]) -> list[Figure]:
@@ -68,6 +91,7 @@ def figures(rows: list[Row]) -> list[Figure]:
     right = sum(j.is_count_right for j in judged)
     doors, found = sum(j.doors for j in judged), sum(j.doors_found for j in judged)
     small = [row.cpu_s for row in rows if row.judgement is not None and row.judgement.true_rooms == 3]
+    added = [ms for row in rows for ms in row.keyframe_ms]
     made = [
         share("flats whose number of rooms is right", right, len(rows), at_least=90),
         Figure("overlap (IoU) with the true room, median", _median(iou), at_least=0.8, of=len(iou)),
@@ -76,6 +100,13 @@ def figures(rows: list[Row]) -> list[Figure]:
         Figure("walls of the plans to the nearest true wall, median", _median(walls), "m", at_most=0.1, of=len(judged)),
         Figure("true walls to the nearest wall of the plan, median", _median(missed), "m", of=len(judged)),
         Figure("CPU time of the plan of a three-room flat, largest", max(small, default=None), "s", at_most=3),
+        Figure(
+            "CPU time of one more keyframe's free space, 95th percentile",
+            float(np.percentile(added, 95)) if added else None,
+            "ms",
+            at_most=10,
+            of=len(added),
+        ),
     ]
     for is_right, word in ((True, "right"), (False, "wrong")):
         sure = [c for j in judged for c, right in zip(j.certainty, j.is_right, strict=True) if right == is_right]
