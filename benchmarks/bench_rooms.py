@@ -70,7 +70,8 @@ def _carved_ms(navigation: Navigation) -> tuple[float, ...]:
     """CPU time of each keyframe, one after the other as while driving: how far it saw, and the cells before that."""
     R, metre = ground_rotation(navigation), units_per_metre(navigation)
     path = (navigation.keyframes.T_world_cam[:, :3, 3] @ R.T)[:, :2]
-    carving, spent = Carving.around(path[np.isfinite(path).all(axis=1)], metre, CELL_M), []
+    carving = Carving.around(path[np.isfinite(path).all(axis=1)], metre, CELL_M)
+    spent: list[float] = []
     coming = sights(navigation, R, FARTHEST_M * metre)
     next(coming, None)  # gathers the observations of all, which a drive has already
     while True:
