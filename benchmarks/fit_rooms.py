@@ -93,7 +93,7 @@ class Flat:
 
 def count_pieces(flats: Sequence[Flat]) -> FloatArray:
     """(CLASSES,) log odds of a piece of wall against a piece anywhere in a room."""
-    wall, inner = np.zeros(CLASSES), np.zeros(CLASSES)
+    wall, inner = np.ones(CLASSES), np.ones(CLASSES)
     rng = np.random.default_rng(0)
     for flat in flats:
         for room in flat.mapped.world.rooms:
@@ -103,7 +103,7 @@ def count_pieces(flats: Sequence[Flat]) -> FloatArray:
             for inwards in (np.array(d) for d in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))):
                 points = rng.uniform(low, high, (SAMPLES // 4, 2))
                 inner += np.bincount(flat.classes(points, inwards), minlength=CLASSES)
-    odds = _log_odds(wall, inner)
+    odds = np.log(wall / wall.sum()) - np.log(inner / inner.sum())
     odds[UNSEEN] = 0.0  # without a landmark either: outside of flats all pieces are such, and nobody counted there
     return np.asarray(odds)
 
@@ -126,7 +126,7 @@ def _walls(world: World, room: Room) -> list[tuple[FloatArray, FloatArray]]:
 
 def count_cells(flats: Sequence[Flat]) -> FloatArray:
     """(AREA_CLASSES,) log odds of a cell in a room against one outside."""
-    inside, outside = np.zeros(AREA_CLASSES), np.zeros(AREA_CLASSES)
+    inside, outside = np.ones(AREA_CLASSES), np.ones(AREA_CLASSES)
     for flat in flats:
         x0, y0, x1, y1 = flat.mapped.world.bounds()
         x, y = (np.arange(a - AROUND_M, b + AROUND_M, PIECE_M) for a, b in ((x0, x1), (y0, y1)))
@@ -139,17 +139,7 @@ def count_cells(flats: Sequence[Flat]) -> FloatArray:
         classes = flat.surfaces.area_classes[tuple(cell[known].T)]
         inside += np.bincount(classes[is_room[known]], minlength=AREA_CLASSES)
         outside += np.bincount(classes[~is_room[known]], minlength=AREA_CLASSES)
-    return _log_odds(inside, outside)
-
-
-def _log_odds(of: FloatArray, against: FloatArray) -> FloatArray:
-    """(n,) of n classes by how often each was counted; one that nobody counted says nothing.
-
-    Each has two counts beforehand, in the proportion of all counts: one for each side, were there as many.
-    """
-    beforehand = 2.0 / (of.sum() + against.sum())
-    share, other = (count / count.sum() + beforehand for count in (of, against))
-    return np.asarray(np.log(share) - np.log(other))
+    return np.asarray(np.log(inside / inside.sum()) - np.log(outside / outside.sum()))
 
 
 def true_rectangles(flat: Flat, sides: Sides, model: WallModel) -> list[Rectangle]:

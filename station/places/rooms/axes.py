@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
+from scipy import ndimage
 
 from shared.geometry import FloatArray, yaw_rotation
 from station.places.rooms.lengths import WALL_M
-from station.places.rooms.rectangles import find_rectangles
-from station.places.rooms.sides import weigh_sides
-from station.places.rooms.surfaces import Seen, find_surfaces
+from station.places.rooms.sides import best_runs
+from station.places.rooms.surfaces import SIDES, Seen, find_surfaces
 from station.places.rooms.wall_model import WallModel
 
 COARSE, FINE = np.radians(np.arange(0.0, 90.0, 1.0)), np.radians(np.arange(-1.0, 1.01, 0.1))
 BIN_M = 0.5 * WALL_M
 MOST_POINTS = 20_000
-STEP, MOST_STEPS = np.radians(1.0), 4  # of the turns of the axes by landmarks that are tried on rooms
+TURNS = np.radians(np.arange(-4.0, 4.1, 1.0))  # of the axes by landmarks, tried on walls
+NEAR_PLANES = 7  # of which the best counts
 
 
 def wall_yaw(p: FloatArray, metre: float) -> float:
@@ -41,32 +40,29 @@ def plan_axes(R_ground_map: FloatArray, p_map: FloatArray, metre: float) -> Floa
     return yaw_rotation(-(yaw if yaw <= np.pi / 4 else yaw - np.pi / 2)) @ R_ground_map
 
 
-def turn_to_rooms(seen: Seen, model: WallModel) -> float:
-    """Rad, a few degrees: the turn of the axes in which the likeliest rooms are the likeliest.
+def turn_to_walls(seen: Seen, model: WallModel) -> float:
+    """Rad, a few degrees: the turn of the axes in which the planes show the longest walls.
 
-    Furniture stands askew and bare walls show few landmarks, so that the landmarks' own lines may be degrees off.
+    Furniture stands askew and bare walls show few landmarks; but no sight passes a wall in its own direction.
     """
-    worth: dict[int, float] = {}
-
-    def weigh(steps: Iterable[int]) -> int:
-        """The best so far, by its number of steps."""
-        for k in steps:
-            if k not in worth:
-                worth[k] = _worth(seen.turned(k * STEP), model)
-        return max(worth, key=lambda k: (worth[k], -abs(k)))
-
-    best = weigh(range(-MOST_STEPS, MOST_STEPS + 1, 2))
-    best = weigh((best - 1, best + 1))
-    near = sorted(k for k in worth if abs(k - best) <= 2)
-    curved, sloped, _ = np.polyfit(np.array(near) - best, [worth[k] for k in near], 2)  # one pack more or less is noise
-    top = -0.5 * sloped / curved if curved < 0 else 0.0
-    return float((best + np.clip(top, -1.0, 1.0)) * STEP)
+    length = np.array([_wall_length(seen.turned(turn), model) for turn in TURNS])
+    k = int(length.argmax())
+    if not 0 < k < len(TURNS) - 1:
+        return float(TURNS[k])
+    before, here, after = length[k - 1 : k + 2]  # the vertex of the parabola through them
+    return float(TURNS[k] + 0.5 * (before - after) / min(before - 2 * here + after, -1e-12) * (TURNS[1] - TURNS[0]))
 
 
-def _worth(seen: Seen, model: WallModel) -> float:
-    """Nats, of the best rooms along the axes; 0 without any."""
+def _wall_length(seen: Seen, model: WallModel) -> float:
+    """Sum of squares of what the walls of the best planes weigh: a few long ones count more than many short ones."""
     surfaces = find_surfaces(seen)
-    return 0.0 if surfaces is None else find_rectangles(surfaces, weigh_sides(surfaces, model), model).worth
+    if surfaces is None:
+        return 0.0
+    table, total = np.array(model.wall), 0.0
+    for side in SIDES:
+        weight, _, _ = best_runs(table[surfaces.classes[side]])
+        total += float((weight[weight == ndimage.maximum_filter1d(weight, NEAR_PLANES)] ** 2).sum())
+    return total
 
 
 def _concentration(p: FloatArray, yaw: float) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from shared.geometry import FloatArray, IntArray
 from station.places.rooms.rectangles import Rectangle
-from station.places.rooms.sides import Sides, gaps_of, likeliest_gap
+from station.places.rooms.sides import DOOR_PIECES, Sides, gaps_of, likeliest_walls, score_of
 from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Surfaces
 from station.places.rooms.wall_model import WallModel
 
@@ -56,20 +56,23 @@ def find_borders(
     joined, passages, lead = [], [], {}
     for (a, first), (b, second), axis in _neighbours(rectangles):
         low, high = _shorter(first, second, axis)
-        odds = np.zeros(high - low)
+        odds = np.zeros((1, high - low))
         for r, sign in ((first, -1), (second, 1)):
             own = r.pieces(axis)
             part = slice(max(own.start, low), min(own.stop, high))
-            odds[part.start - low : part.stop - low] += sides.odds[axis, sign][r.plane((axis, sign)), part]
-        gap, odds_of_two = likeliest_gap(odds, model)
+            odds[0, part.start - low : part.stop - low] += sides.odds[axis, sign][r.plane((axis, sign)), part]
+        is_wall = likeliest_walls(odds, model)
+        odds_of_two = float(score_of(is_wall, odds, model).sum())
         lead[a, b] = abs(odds_of_two)
-        if odds_of_two < 0:
+        widest = max((end - begin for begin, end in gaps_of(is_wall[0])), default=0)
+        if odds_of_two <= 0 and widest > DOOR_PIECES[-1]:  # an opening; a door parts rooms
             joined.append((a, b))
         across = 0.5 * (edges[a, 2 * axis + 1] + edges[b, 2 * axis])
         begin, end = _shared(first, second, axis)
-        begin, end = max(low + gap[0], begin), min(low + gap[1], end)
-        if (end - begin) * PIECE_M >= LEAST_DOOR_M:
-            passages.append(Passage(a, b, _line(surfaces, axis, across, begin, end)))
+        for gap in gaps_of(is_wall[0]):
+            gap_begin, gap_end = max(low + gap[0], begin), min(low + gap[1], end)
+            if (gap_end - gap_begin) * PIECE_M >= LEAST_DOOR_M:
+                passages.append(Passage(a, b, _line(surfaces, axis, across, gap_begin, gap_end)))
     return Borders(tuple(joined), lead, tuple(passages))
 
 

@@ -4,6 +4,5 @@ from __future__ import annotations
 
 WALL_M = 0.1  # the thickness of a thin one: nothing finer parts rooms
 DOOR_M = 0.7, 1.1  # the clear width of doors
-DOORWAY_M = 0.5  # this near a door one is in both of its rooms: a robot is half as long, a map as wrong
 FLOOR_PERCENT = 2.0  # of the landmarks lie lower than the floor: false ones
 SKIRTING_M = 0.08  # landmarks below belong to the floor

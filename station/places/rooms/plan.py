@@ -13,7 +13,7 @@ from station.model.floor_plan import NO_ROOM, Door, FloorPlan, PlanEdits, Room
 from station.model.navigation import Navigation
 from station.model.place_map import Place
 from station.places.making.scale import ground_rotation
-from station.places.rooms.axes import plan_axes, turn_to_rooms
+from station.places.rooms.axes import plan_axes, turn_to_walls
 from station.places.rooms.belonging import rooms_of_places
 from station.places.rooms.evidence import Ground, gather_evidence
 from station.places.rooms.identity import inherited, new_id, new_names
@@ -79,7 +79,7 @@ def _axes(navigation: Navigation, previous: FloorPlan | None, T: FloatArray | No
     level = ground_rotation(navigation)
     p = navigation.landmarks.p_world
     R = plan_axes(level, p[np.isfinite(p).all(axis=1)], 1.0)
-    return yaw_rotation(turn_to_rooms(Seen.of(navigation, R), wall_model())) @ R
+    return yaw_rotation(turn_to_walls(Seen.of(navigation, R), wall_model())) @ R
 
 
 def _carried(

@@ -16,11 +16,11 @@ from scipy import sparse
 from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
 from shared.geometry import FloatArray, IntArray
-from station.places.rooms.lengths import DOORWAY_M, WALL_M
+from station.places.rooms.lengths import WALL_M
 from station.places.rooms.sides import Sides, best_runs
 from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Side, Surfaces
 from station.places.rooms.wall_model import WallModel
-from station.places.space.space import DRIVEN_M, Cells
+from station.places.space.space import Cells
 
 MOST_PLANES = 20  # for each of the four sides: the strongest
 MOST_OPEN = 8  # ... and, for open ones, the strongest of the opposite side
@@ -69,7 +69,6 @@ class Packed:
     """The best set of rectangles."""
 
     rectangles: tuple[Rectangle, ...]
-    worth: float  # nats: the sum of their scores
     lead: tuple[float, ...]  # nats: of this set before the best one without this rectangle or one nearly the same
 
 
@@ -80,7 +79,7 @@ def find_rectangles(surfaces: Surfaces, sides: Sides, model: WallModel) -> Packe
     opposite = {(axis, sign): strongest_planes(sides.odds[axis, -sign], MOST_OPEN) for axis, sign in SIDES}
     planes = [np.union1d(walls[side], opposite[side]) for side in SIDES]
     if not all(len(found) for found in planes):
-        return Packed((), 0.0, ())
+        return Packed((), ())
     return _packed(_Choices(planes, _scores(surfaces, sides, model, planes)), surfaces)
 
 
@@ -136,29 +135,18 @@ def _scores(surfaces: Surfaces, sides: Sides, model: WallModel, planes: list[Int
     least = LEAST_M / LINE_M
     score[(x1 - x0[:, None]) < least] = -np.inf
     score[:, :, (y1 - y0[:, None]) < least] = -np.inf
-    score[~_entered(surfaces, planes)] = -np.inf
+    driven = np.zeros((surfaces.driven.shape[0] + 1, surfaces.driven.shape[1] + 1))
+    driven[1:, 1:] = surfaces.driven.cumsum(axis=0).cumsum(axis=1)
+    score[_within(driven, x0 // 2, x1 // 2, y0 // 2, y1 // 2) * PIECE_M**2 < LEAST_DRIVEN_M2] = -np.inf
     return np.asarray(score)
 
 
-def _entered(surfaces: Surfaces, planes: list[IntArray]) -> Cells:
-    """Whether the body was in each rectangle as a whole, and beyond the doorways through which it came and left."""
-    found = np.zeros(tuple(len(k) for k in planes), dtype=np.bool_)
-    for axis, visited in enumerate(surfaces.visited):
-        visits = np.zeros((visited.shape[0] + 1, visited.shape[1] + 1))
-        visits[1:, 1:] = visited.cumsum(axis=0).cumsum(axis=1)
-        inner = []
-        for k, plane in enumerate(planes):
-            off = round((DOORWAY_M if k // 2 == axis else DRIVEN_M) / PIECE_M)
-            inner.append(np.clip(-(-plane // 2) + off if k % 2 == 0 else plane // 2 - off, 0, visited.shape[k // 2]))
-        x0, x1, y0, y1 = inner
-        there = (x1 > x0[:, None])[:, :, None, None] & (y1 > y0[:, None])
-        found |= there & (_within(visits, x0, x1, y0, y1) > 0)
-    return found
+LEAST_DRIVEN_M2 = PIECE_M  # half a metre of the way's width
 
 
 def _packed(choices: _Choices, surfaces: Surfaces) -> Packed:
     step, beside = round(PRICE_M / LINE_M), round(WALL_M / LINE_M)
-    shape = tuple(2 * n // step + 1 for n in surfaces.area_classes.shape)
+    shape = tuple(2 * n // step + 1 for n in surfaces.driven.shape)
     # The priced points in a rectangle; what lies as near its sides as a wall is thick has none.
     first = [-(-(choices.planes[k] + beside) // step) for k in (0, 2)]
     last = [np.clip((choices.planes[k] - beside) // step + 1, 0, shape[k // 2]) for k in (1, 3)]
@@ -193,7 +181,7 @@ def _packed(choices: _Choices, surfaces: Surfaces) -> Packed:
     for k in chosen:
         others = np.array([columns[k].overlap(r) <= SAME for r in columns])
         lead.append(best - sum(score[other] for other in packing.chosen(others)))
-    return Packed(tuple(columns[k] for k in chosen), best, tuple(lead))
+    return Packed(tuple(columns[k] for k in chosen), tuple(lead))
 
 
 def _most_gainful(choices: _Choices, gain: FloatArray, known: set[Rectangle]) -> list[int]:

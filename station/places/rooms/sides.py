@@ -102,20 +102,6 @@ def gaps_of(is_wall: Cells) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
-def likeliest_gap(odds: FloatArray, model: WallModel) -> tuple[tuple[int, int], float]:
-    """Begin and end of the gap in a wall between two rooms, equal without one, and nats by which there is such a wall.
-
-    Two rooms have one door between them, or none: what opens in two places parts nothing. A door costs nothing here,
-    since who is in both rooms came through one; a wider opening costs as much more as it is the less usual.
-    """
-    below = np.concatenate([[0.0], np.cumsum(odds)])
-    begin, end = np.triu_indices(len(below), 1)
-    left = below[-1] - (below[end] - below[begin]) - gap_costs(end - begin, model)
-    best = int(left.argmax())
-    gap = (int(begin[best]), int(end[best])) if left[best] > below[-1] else (0, 0)
-    return gap, float(max(below[-1], left[best] + model.door))
-
-
 def best_runs(odds: FloatArray) -> tuple[FloatArray, np.ndarray, np.ndarray]:
     """Of each row the stretch with the largest sum: (n,) sum, begin, end (Kadane)."""
     n = len(odds)

@@ -22,19 +22,17 @@ from station.places.rooms.lengths import SKIRTING_M, WALL_M
 from station.places.space.carving import FARTHEST_M, MAX_CELLS
 from station.places.space.observed import Observed
 from station.places.space.sight import SECTORS
-from station.places.space.space import DRIVEN_M, Cells
+from station.places.space.space import Cells
 
 Side = tuple[int, int]  # the axis that a plane stands across, and the direction along it in which the room lies: 1, -1
 SIDES: tuple[Side, ...] = ((0, 1), (0, -1), (1, 1), (1, -1))
 LINE_M = 0.5 * WALL_M  # between planes
 PIECE_M = WALL_M  # of a plane
 SHORT_OF = 0.97, 0.05  # a sight ends this share of its way, and so many metres, before its landmark: depths err
-CERTAIN = 2.0  # sigmas of its landmark's distance that a sight ends before it: 98 % of landmarks are no nearer
 BEFORE_M = (0.2, 0.3, 0.4)  # a plane: the sights that come so near look at it
 COUNTS = (0, 1, 2, 4)  # least of each class, of landmarks and of crossings; more do not say more
 LOOKED = (0, 1, 4)  # ... of the sights that look at a piece
-PASSED = len(COUNTS) * len(COUNTS) * len(LOOKED)  # the class of a piece that the body reached: sights err, it did not
-CLASSES = PASSED + 1
+CLASSES = len(COUNTS) * len(COUNTS) * len(LOOKED)
 UNSEEN = 0  # the class of a piece of which nobody saw anything
 AREA_COUNTS = (0, 1, 4, 10, 30)
 DRIVEN = len(AREA_COUNTS)
@@ -63,7 +61,7 @@ class Seen:
         if stands.any():
             stands &= above_floor(p[:, 2]) > SKIRTING_M
         towards = _towards_observers(seen, p, eyes)
-        return cls(p[stands, :2], towards[stands], _sights(seen, p, eyes, unit), path)
+        return cls(p[stands, :2], towards[stands], _sights(seen, p, eyes), path)
 
     def turned(self, yaw: float) -> Seen:
         """In other axes: rad."""
@@ -80,7 +78,7 @@ class Surfaces:
     low: FloatArray  # (2,)
     classes: dict[Side, npt.NDArray[np.intp]]  # (planes, pieces) of the counts, for a wall seen from that side
     area_classes: npt.NDArray[np.intp]  # (X, Y) of cells as wide as a piece: how many sights passed, or the body
-    visited: tuple[Cells, Cells]  # (X, Y) in which the body's middle went along x rather than y, and along y
+    driven: Cells  # (X, Y) by the body
 
 
 def find_surfaces(seen: Seen) -> Surfaces | None:
@@ -92,26 +90,14 @@ def find_surfaces(seen: Seen) -> Surfaces | None:
     if np.prod(shape.astype(float)) > MAX_CELLS:
         return None
     grid = _Grid(low, (int(shape[0]), int(shape[1])))
-    crossed = [grid.crossed(seen.sights, axis) for axis in (0, 1)]
-    passed = [grid.driven_through(seen.path, axis) for axis in (0, 1)]
+    crossed = [grid.crossed(seen.sights, axis) + COUNTS[-1] * grid.driven_through(seen.path, axis) for axis in (0, 1)]
     classes = {}
     for axis, sign in SIDES:
         on = grid.landmarks_on(seen.p[sign * seen.towards[:, axis] > 0], axis)
-        seen_as = _class_of(on, crossed[axis], _looked_at(crossed[axis], sign))
-        classes[axis, sign] = np.where(passed[axis], PASSED, seen_as)
-    driven = ndimage.binary_dilation(grid.cells(seen.path), np.ones((3, 3)))
+        classes[axis, sign] = _class_of(on, crossed[axis], _looked_at(crossed[axis], sign))
+    driven = grid.cells(seen.path)
     area = np.where(driven, DRIVEN, _count_class(grid.passed(seen.sights), AREA_COUNTS))
-    return Surfaces(seen, low, classes, area, _visited(seen.path, grid))
-
-
-def _visited(path: FloatArray, grid: _Grid) -> tuple[Cells, Cells]:
-    """Cells by the direction of the steps through them, each as long as a cell is wide: shorter ones are jitter."""
-    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
-    at = np.unique(np.searchsorted(travelled, np.arange(0.0, travelled[-1], PIECE_M)))
-    step = np.diff(path[at], axis=0)
-    middle = 0.5 * (path[at[:-1]] + path[at[1:]])
-    goes_along_x = np.abs(step[:, 0]) > np.abs(step[:, 1])
-    return grid.cells(middle[goes_along_x]), grid.cells(middle[~goes_along_x])
+    return Surfaces(seen, low, classes, area, driven)
 
 
 def _class_of(on: FloatArray, crossed: FloatArray, looked: FloatArray) -> npt.NDArray[np.intp]:
@@ -128,24 +114,23 @@ def _looked_at(crossed: FloatArray, sign: int) -> FloatArray:
     return np.asarray(np.max([np.roll(crossed, -sign * step, axis=0) for step in steps], axis=0))
 
 
-def _sights(seen: Observed, p: FloatArray, eyes: FloatArray, unit: float) -> FloatArray:
-    """(n, 4) from x, y to x, y: of each sector of each keyframe the second farthest that is free for certain.
+def _sights(seen: Observed, p: FloatArray, eyes: FloatArray) -> FloatArray:
+    """(n, 4) from x, y to x, y: one for each sector of each keyframe, to its second farthest landmark.
 
     Of several the farthest may be false. Nearer ones add nothing but the same way again.
     """
-    rows = np.flatnonzero(np.isfinite(p[seen.point]).all(axis=1) & np.isfinite(eyes[seen.eye]).all(axis=1))
-    keyframe, landmark = seen.eye[rows], seen.point[rows]
+    keyframe, landmark = seen.eye, seen.point
+    rows = np.flatnonzero(np.isfinite(p[landmark]).all(axis=1) & np.isfinite(eyes[keyframe]).all(axis=1))
+    keyframe, landmark = keyframe[rows], landmark[rows]
     d = p[landmark, :2] - eyes[keyframe, :2]
     far = np.hypot(d[:, 0], d[:, 1])
-    length = np.maximum(np.linalg.norm(p[landmark] - eyes[keyframe], axis=1), 1e-9)
-    certain = 1.0 - CERTAIN * seen.sigma[rows] / (unit * length)  # of the way, in three dimensions
-    reach = np.maximum(np.minimum(np.minimum(SHORT_OF[0], certain) * far, FARTHEST_M) - SHORT_OF[1], 0.0)
     turn = np.arctan2(d[:, 1], d[:, 0]) / (2 * np.pi) % 1.0
     of = keyframe * SECTORS + np.floor(turn * SECTORS).astype(np.int64) % SECTORS
-    order = np.lexsort((landmark, -reach, of))
+    order = np.lexsort((landmark, -far, of))
     _, begin, count = np.unique(of[order], return_index=True, return_counts=True)
     chosen = order[begin + np.minimum(count - 1, 1)]
-    share = reach[chosen] / np.maximum(far[chosen], 1e-9)
+    reach = np.minimum(SHORT_OF[0] * far[chosen], FARTHEST_M) - SHORT_OF[1]
+    share = np.maximum(reach, 0.0) / np.maximum(far[chosen], 1e-9)
     eye = eyes[keyframe[chosen], :2]
     return np.column_stack([eye, eye + d[chosen] * share[:, None]])
 
@@ -187,13 +172,11 @@ class _Grid:
         return self._counted(axis, plane, np.floor((at - self.low[1 - axis]) / PIECE_M).astype(np.int64))
 
     def driven_through(self, path: FloatArray, axis: int) -> Cells:
-        """(planes, pieces) that the body reached: those within its half width of its way, ahead as well as beside."""
+        """(planes, pieces) where the body passed, as wide as it is at least: a piece to each side."""
         steps = np.column_stack([path[:-1], path[1:]])
         steps = steps[np.hypot(*(steps[:, 2:] - steps[:, :2]).T) < BODY_LEAP_M]
         through = self.crossed(steps, axis) > 0
-        across, along = (np.arange(-n, n + 1) for n in (round(DRIVEN_M / LINE_M), round(DRIVEN_M / PIECE_M)))
-        disc = np.hypot(across[:, None] * LINE_M, along * PIECE_M) <= DRIVEN_M
-        return np.asarray(ndimage.binary_dilation(through, disc))
+        return np.asarray(ndimage.maximum_filter1d(through, 3, axis=1))
 
     def passed(self, lines: FloatArray) -> FloatArray:
         """(X, Y) how often lines (n, 4) pass through a cell or one beside it."""
@@ -208,10 +191,10 @@ class _Grid:
         return np.round(9 * ndimage.uniform_filter(found, 3, mode="constant"))
 
     def cells(self, p: FloatArray) -> Cells:
-        """(X, Y) those with a point (n, 2) in them."""
+        """(X, Y) those with a point (n, 2) in them or beside them."""
         found = np.zeros(self.shape, dtype=np.bool_)
         found[tuple(np.floor((p - self.low) / PIECE_M).astype(np.int64).T)] = True
-        return found
+        return np.asarray(ndimage.binary_dilation(found, np.ones((3, 3))), dtype=np.bool_)
 
     def _counted(self, axis: int, plane: IntArray, piece: IntArray) -> FloatArray:
         count = np.zeros((2 * self.shape[axis] + 1, self.shape[1 - axis]))

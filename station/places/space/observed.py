@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.geometry import FloatArray, IntArray, rotation_angle, transform
-from station.model.navigation import Landmarks, Navigation
+from station.model.navigation import Navigation
 from station.motion.interpolation import scan_poses
 
 CUBE_M = 0.05
@@ -29,15 +29,13 @@ class Observed:
     eye_map: FloatArray  # (E, 3) map units
     point: IntArray  # (K,) index into p_map
     eye: IntArray  # (K,) index into eye_map
-    sigma: FloatArray  # (K,) map units, 1 sigma of the distance from eye to point; 0 where nobody knows it
 
     @classmethod
     def of(cls, navigation: Navigation) -> Observed:
         """Of a map without metres, landmarks alone: nobody knows how far its depth reaches."""
         landmarks = navigation.landmarks
         eyes = navigation.keyframes.T_world_cam[:, :3, 3]
-        point, eye = landmarks.observed_landmark, landmarks.observed_keyframe
-        seen = cls(landmarks.p_world, eyes, point, eye, _distance_sigma(landmarks, eyes))
+        seen = cls(landmarks.p_world, eyes, landmarks.observed_landmark, landmarks.observed_keyframe)
         return seen if navigation.depth is None or not navigation.is_metric else seen._with(_scanned(navigation))
 
     @property
@@ -57,16 +55,7 @@ class Observed:
             np.concatenate([self.eye_map, other.eye_map]),
             np.concatenate([self.point, other.point + len(self.p_map)]),
             np.concatenate([self.eye, other.eye + len(self.eye_map)]),
-            np.concatenate([self.sigma, other.sigma]),
         )
-
-
-def _distance_sigma(landmarks: Landmarks, eyes: FloatArray) -> FloatArray:
-    """(K,) of each observation, by its landmark's covariance."""
-    d = landmarks.p_world[landmarks.observed_landmark] - eyes[landmarks.observed_keyframe]
-    d /= np.maximum(np.linalg.norm(d, axis=1), 1e-9)[:, None]
-    variance = np.einsum("ki,kij,kj->k", d, landmarks.cov_world[landmarks.observed_landmark], d)
-    return np.sqrt(np.maximum(np.nan_to_num(variance), 0.0))
 
 
 def _scanned(navigation: Navigation) -> Observed:
@@ -83,7 +72,7 @@ def _scanned(navigation: Navigation) -> Observed:
     size = np.bincount(cube, minlength=count)
     middle = np.stack([np.bincount(cube, p[:, axis], count) / size for axis in range(3)], axis=1)
     pairs = np.unique(scan * count + cube)
-    return Observed(middle, eyes, pairs % max(count, 1), pairs // max(count, 1), np.zeros(len(pairs)))
+    return Observed(middle, eyes, pairs % max(count, 1), pairs // max(count, 1))
 
 
 def _numbered(cells: IntArray) -> tuple[IntArray, int]:

@@ -10,10 +10,10 @@ from scipy import ndimage
 
 from shared.geometry import FloatArray, IntArray
 from station.model.floor_plan import FREE, NO_ROOM, FloorPlan
-from station.places.rooms.lengths import DOORWAY_M
 
 Numbers = npt.NDArray[np.int16]
 
+DOORWAY_M = 0.5  # this near a door both of its rooms are right: a robot is half as long, a map as wrong
 BESIDE_M = 0.3  # no robot is in a wall or a cupboard: what is drawn there counts to the room beside it
 NO_DOOR = -1
 

@@ -49,13 +49,6 @@ def test_a_wall_with_a_door_parts_two_rooms_and_an_open_side_does_not() -> None:
     assert len(borders.joined) >= len(found.rectangles) - 1
 
 
-def test_a_room_that_was_looked_into_from_its_door_is_none_and_one_behind_the_doorway_is() -> None:
-    to_the_door = ((2.0, 2.0), (3.0, 1.95), (4.35, 1.95))
-    assert len(packed(TWO_ROOMS, to_the_door)[2].rectangles) == 1
-    through_it = ((2.0, 2.0), (3.0, 1.95), (4.85, 1.95))
-    assert len(packed(TWO_ROOMS, through_it)[2].rectangles) == 2
-
-
 def test_a_room_is_as_sure_as_its_set_is_ahead_of_the_best_one_without_it() -> None:
     _, _, found = packed(TWO_ROOMS, WAY_OF_TWO)
     assert min(found.lead) > 0.0

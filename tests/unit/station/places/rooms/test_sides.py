@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from station.places.rooms.sides import best_runs, gap_costs, likeliest_gap, likeliest_walls, score_of
+from station.places.rooms.sides import best_runs, gap_costs, likeliest_walls, score_of
 from station.places.rooms.wall_model import wall_model
 
 MODEL = msgspec.structs.replace(wall_model(), door=4.0, gap=8.0, gap_piece=0.5)
@@ -40,29 +40,6 @@ def test_no_other_labels_score_more(seed: int) -> None:
     # What begins or ends in a gap pays for it too, but not as a door: its width is not known.
     closed = [labels for labels in every if labels[0, 0] and labels[0, -1]]
     assert best >= max(score_of(labels, odds, MODEL).sum() for labels in closed) - 1e-9
-
-
-def test_two_rooms_are_parted_by_a_wall_with_one_door_or_none() -> None:
-    gap, odds = likeliest_gap(odds_of((15, 1.0), (9, -5.0), (12, 1.0))[0], MODEL)
-    assert gap == (15, 24) and odds == pytest.approx(27.0)
-    gap, odds = likeliest_gap(odds_of((20, 1.0))[0], MODEL)
-    assert gap[0] == gap[1] and odds == pytest.approx(20.0)
-
-
-@pytest.mark.parametrize(
-    "opened",
-    [
-        odds_of((25, -5.0)),  # an arm of an L
-        odds_of((6, 1.0), (9, -5.0), (4, 1.0), (9, -5.0), (6, 1.0)),  # a pillar between two ways
-        odds_of((4, 1.0), (18, -5.0), (4, 1.0)),  # wider than its wall says
-    ],
-)
-def test_what_opens_in_two_places_or_wholly_parts_nothing(opened: np.ndarray) -> None:
-    assert likeliest_gap(opened[0], MODEL)[1] < 0.0
-
-
-def test_beside_a_door_a_hidden_wall_is_enough() -> None:
-    assert likeliest_gap(odds_of((8, 0.0), (9, -5.0), (8, 0.0))[0], MODEL)[1] >= 0.0
 
 
 def test_the_best_run_of_each_row() -> None:
