@@ -153,17 +153,22 @@ def test_closing_does_not_wait_for_a_disk_that_hangs(
     recorder.close()
 
 
-def test_depth_that_the_disk_does_not_take_is_dropped_as_pictures_are(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    disk_works = threading.Event()
-    start = Writer.start
+def late_disk(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """Nothing is written before this is set."""
+    works, start = threading.Event(), Writer.start
 
     def late_start(*arguments: Any, **more: Any) -> None:
-        disk_works.wait(60)
+        works.wait(60)
         start(*arguments, **more)
 
     monkeypatch.setattr(Writer, "start", late_start)
+    return works
+
+
+def test_depth_that_the_disk_does_not_take_is_dropped_as_pictures_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk_works = late_disk(monkeypatch)
     recorder = Recorder(tmp_path / "d.mcap", min_free_bytes=0)
     recorder.on_connected(HELLO)
     for n in range(300):
@@ -180,14 +185,7 @@ def test_a_disk_that_is_too_far_behind_still_gets_what_was_accepted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.CRITICAL)
-    disk_works = threading.Event()
-    start = Writer.start
-
-    def late_start(*arguments: Any, **more: Any) -> None:
-        disk_works.wait(60)
-        start(*arguments, **more)
-
-    monkeypatch.setattr(Writer, "start", late_start)
+    disk_works = late_disk(monkeypatch)
     monkeypatch.setattr(station.recordings.recorder, "MAX_LATE", 200)
     recorder = Recorder(tmp_path / "d.mcap", min_free_bytes=0)
     recorder.on_connected(HELLO)
