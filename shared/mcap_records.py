@@ -68,7 +68,10 @@ def _unpacked(chunk: Chunk, unpacking: Unpacking) -> bytes:
         raise Refused(f"a chunk of it claims {size} bytes, more than the {MAX_RECORD_BYTES} that are unpacked")
     unpacking.take(size)
     if chunk.compression == "lz4":
-        data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+        unpacker = lz4.frame.LZ4FrameDecompressor()
+        data: bytes = unpacker.decompress(chunk.data, max_length=size + 1)
+        if not unpacker.eof:  # other readers refuse it
+            raise ValueError("a chunk's packed bytes end too soon, or go on after the size it claims")
     elif chunk.compression == "zstd":
         packed = zstandard.ZstdDecompressor(max_window_size=MAX_RECORD_BYTES)
         with packed.stream_reader(chunk.data) as reader:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
+import lz4.frame
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -129,6 +130,9 @@ def test_a_look_at_every_byte_tells_whole_recordings_from_others(whole: bytes, t
     assert "nothing was changed" in CliRunner().invoke(app, ["recordings", "recover", str(path)]).output
 
 
+FRAME_MAGIC = b"\x04\x22\x4d\x18"  # of LZ4
+
+
 @settings(max_examples=60, deadline=None)
 @given(position=st.floats(0, 0.9999), bit=st.integers(0, 7))
 def test_a_flipped_bit_is_found_or_changes_no_message(
@@ -142,3 +146,18 @@ def test_a_flipped_bit_is_found_or_changes_no_message(
     path.write_bytes(damaged)
     if not check_recording(path).damage:
         assert messages_in(path) == messages_in(sound)
+
+
+def test_a_chunk_whose_packing_has_no_end_is_damage_though_all_its_bytes_are_there(
+    whole: bytes, tmp_path: Path
+) -> None:
+    """Other programs refuse to unpack it."""
+    begin = whole.index(FRAME_MAGIC)
+    chunk = lz4.frame.LZ4FrameDecompressor()
+    chunk.decompress(whole[begin:])
+    assert chunk.eof and chunk.unused_data is not None
+    last = len(whole) - len(chunk.unused_data) - 1  # of the frame's end mark
+    assert whole[last - 3 : last + 1] == bytes(4)
+    path = tmp_path / "bit.mcap"
+    path.write_bytes(whole[: last - 3] + b"\x01" + whole[last - 2 :])  # as of one byte more
+    assert check_recording(path).damage
