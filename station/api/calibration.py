@@ -12,15 +12,12 @@ from shared.calibration_yaml import calibration_text
 from shared.messages import Hello
 from station.api.deps import RobotDep, StationDep
 from station.api.problems import responses
-from station.api.schema.calibration import (
-    CalibrationModel,
-    CalibrationOrder,
+from station.api.schema.calibration import CalibrationModel, CalibrationOrder, calibration_model, ordered_calibration
+from station.api.schema.calibration_session import (
     CalibrationSessionModel,
     SessionOrder,
     calibration_by_result,
-    calibration_model,
     ordered_board,
-    ordered_calibration,
     session_model,
 )
 from station.api.schema.jobs import JobModel

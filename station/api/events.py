@@ -22,7 +22,7 @@ from station.api.messages import (
     RobotMessage,
 )
 from station.api.schema.base import Model
-from station.api.schema.calibration import session_model
+from station.api.schema.calibration_session import session_model
 from station.api.schema.jobs import JobModel
 from station.api.schema.navigations import navigation_model
 from station.api.schema.places import current_place, visit_model

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, TypeAdapter
 
 from station.api.schema.base import Model, Number, Question
-from station.api.schema.calibration import CalibrationSessionModel
+from station.api.schema.calibration_session import CalibrationSessionModel
 from station.api.schema.jobs import JobModel
 from station.api.schema.navigations import NavigationModel
 from station.api.schema.places import CurrentPlace, VisitModel

@@ -19,13 +19,8 @@ from shared.calibration import (
 )
 from shared.calibration_yaml import calibration_text, read_calibration
 from shared.geometry import FloatArray
-from station.api.schema.calibration import (
-    ImuResult,
-    calibration_by_result,
-    is_used,
-    order_of_result,
-    ordered_calibration,
-)
+from station.api.schema.calibration import ordered_calibration
+from station.api.schema.calibration_session import ImuResult, calibration_by_result, is_used, order_of_result
 from station.calibration.guidance import GuidedKind
 from station.calibration.imu.calibrate import calibrate_imu
 from station.calibration.imu.report import calibration_json

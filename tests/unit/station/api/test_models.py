@@ -17,13 +17,8 @@ from shared.messages import Capabilities, DriveApplied
 from shared.token_book import TokenRecord
 from station.api.access import TokenModel
 from station.api.schema.base import Model
-from station.api.schema.calibration import (
-    BoardSeenModel,
-    CalibrationSessionModel,
-    CameraModel,
-    MeterModel,
-    WheelsModel,
-)
+from station.api.schema.calibration import CameraModel, WheelsModel
+from station.api.schema.calibration_session import BoardSeenModel, CalibrationSessionModel, MeterModel
 from station.api.schema.comparisons import ComparisonModel
 from station.api.schema.jobs import JobModel
 from station.api.schema.navigations import BinModel, NavigationModel

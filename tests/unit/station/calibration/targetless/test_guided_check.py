@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from station.api.schema.calibration import CheckResult
+from station.api.schema.calibration_session import CheckResult
 from station.calibration.targetless.guided import estimate_check
 from tests.support.paths import RECORDINGS
 
