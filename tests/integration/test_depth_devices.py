@@ -17,7 +17,7 @@ from robot.devices.ports import CapturedDepth, DepthSensor, DeviceSet
 from robot.devices.recorded import open_recorded
 from robot.devices.simulated import open_simulated
 from robot.simulation.config import DepthSensorModel, SimulationConfig
-from shared.calibration import REFERENCE_ROBOT, Calibration, DepthCalibration
+from shared.calibration import REFERENCE_ROBOT, Calibration
 from shared.messages import Depth, Hello, Join
 from station.datasets import open_dataset
 from station.model.frames import DepthFrame
@@ -132,8 +132,8 @@ def test_a_recording_gives_depth_back(tmp_path: Path) -> None:
     assert [int(e.millimetres()[3, 4]) for e in found] == [1000, 1002, 1004, 1006, 1008]
     assert {e.sensor for e in found} == {SENSOR}
     part = open_dataset(tmp_path / "a.mcap", first=1, last=6)
-    assert part.read_depth is not None
-    assert [int(e.millimetres()[0, 0]) for e in part.read_depth()] == [1002, 1004, 1006]
+    depth = [e for e in part.events() if isinstance(e, DepthFrame)]
+    assert [int(e.millimetres()[0, 0]) for e in depth] == [1002, 1004, 1006]
 
 
 def test_depth_of_a_sensor_nobody_tells_of_is_left_out(tmp_path: Path) -> None:
@@ -165,11 +165,13 @@ def simulated(_folder: Path) -> DeviceSet:
     return open_simulated("room", 1, config=SimulationConfig(depth=DepthSensorModel(rate_hz=10.0, noise=0.0)))
 
 
-@pytest.mark.parametrize("adapter", [a_recording, a_folder, simulated])
-async def test_every_depth_sensor_gives_pictures_of_its_calibration_in_time_order(adapter: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("adapter", "size"), [(a_recording, (32, 24)), (a_folder, (32, 24)), (simulated, (64, 48))])
+async def test_every_depth_sensor_gives_pictures_of_its_calibration_in_time_order(
+    adapter: Any, size: tuple[int, int], tmp_path: Path
+) -> None:
     devices: DeviceSet = adapter(tmp_path)
     sensor, depth = devices.calibration.depth_sensor, devices.depth
-    assert isinstance(sensor, DepthCalibration) and depth is not None
+    assert depth is not None and sensor is not None and (sensor.width, sensor.height) == size
     try:
         taken = [await measure(depth) for _ in range(3)]
     finally:

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import station.places.naming.looks
 from shared.errors import DataError
+from station.files.npz import Arrays
 from station.places.naming.looks import labels_look, phrases_look
 from station.places.naming.room_words import Nothing, RoomWord, RoomWords
 
@@ -108,7 +110,6 @@ def test_files_that_cannot_be_used_are_refused_in_a_sentence(tmp_path: Path) -> 
     np.savez(tmp_path / "fewer.npz", names=np.array(["oven"]), embeddings=np.eye(2))
     np.savez(tmp_path / "zero.npz", names=np.array(["oven", "sink"]), embeddings=np.zeros((2, 2)))
     np.savez(tmp_path / "wide.npz", names=np.array(["oven"]), embeddings=np.ones((1, 20_000), np.float16))
-    np.savez_compressed(tmp_path / "packed.npz", names=np.array(["oven"]), embeddings=np.ones((1, 110_000_000), "f2"))
     np.savez(tmp_path / "foreign.npz", names=np.array(["dog", "cat"]), embeddings=np.eye(2))
     labels = listed(tmp_path, "oven", "sink")
     beyond = np.frombuffer(np.array([0x110000, 65], "<u4").tobytes(), "<U1")
@@ -126,7 +127,6 @@ def test_files_that_cannot_be_used_are_refused_in_a_sentence(tmp_path: Path) -> 
         ("fewer.npz", "one row a name"),
         ("zero.npz", "without direction"),
         ("wide.npz", "20000 numbers"),
-        ("packed.npz", "another kind of file|more than"),
         ("foreign.npz", "nothing that a room word looks like"),
     ):
         with pytest.raises(DataError, match=words) as caught:
@@ -134,6 +134,17 @@ def test_files_that_cannot_be_used_are_refused_in_a_sentence(tmp_path: Path) -> 
         assert str(tmp_path / name) in str(caught.value)
     with pytest.raises(DataError, match="another kind of file"):
         phrases_look(tmp_path / "no.npy", labels, WORDS)
+
+
+def test_embeddings_that_are_small_only_while_packed_are_refused_before_they_are_unpacked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "packed.npz"
+    np.savez_compressed(path, names=np.array(["oven"]), embeddings=np.ones((1, 10_000)))
+    monkeypatch.setattr(station.places.naming.looks, "MAX_EMBEDDING_BYTES", 2 * path.stat().st_size)
+    monkeypatch.setattr(Arrays, "read", lambda *_: pytest.fail("it was unpacked"))
+    with pytest.raises(DataError, match="its embeddings have more than"):
+        phrases_look(path, None, WORDS)
 
 
 @pytest.mark.parametrize(
