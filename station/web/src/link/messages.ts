@@ -941,12 +941,6 @@ export interface SessionModel {
   role: "watch" | "drive" | "admin";
 }
 
-export interface SessionOrder {
-  kind: "camera" | "camera-imu" | "wheels" | "imu" | "check";
-  /** none for kinds imu and check */
-  target: TargetOrder | null;
-}
-
 /** The running SLAM, or the last one. */
 export interface SlamModel {
   navigation: string | null;
@@ -977,24 +971,6 @@ export interface StopModel {
 
 export interface TakeOverCommand {
   type: "take_over";
-}
-
-/** The board that is shown: one that was printed here, or another one with its numbers. */
-export interface TargetOrder {
-  kind: "aprilgrid" | "charuco" | "chessboard";
-  /** of the paper it was printed on; else give the numbers */
-  size: "A4" | "A3" | "Letter" | null;
-  /** what the printed page's ruler measures */
-  ruler_mm: number;
-  /** tags, or inner corners */
-  columns: number | null;
-  rows: number | null;
-  /** side of a tag or square, measured */
-  square_m: number | null;
-  /** between the tags of an AprilGrid */
-  gap_m: number;
-  /** side of a ChArUco board's markers */
-  marker_m: number;
 }
 
 /** The station's clock, twenty times a second. A drive command that repeats it shows by it that it is not old. */
