@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator, Mapping
 from typing import Any, cast
 
+from uvicorn._types import ASGISendEvent
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
@@ -129,6 +130,12 @@ class HttpProtocol(HttpToolsProtocol):
 
 class SocketProtocol(WebSocketsSansIOProtocol):
     """What the connection speaks from when it has become a WebSocket."""
+
+    async def send(self, message: ASGISendEvent) -> None:
+        await super().send(message)
+        if self.close_sent:
+            # A refusal by HTTP ends the handshake. Uvicorn forgets to note it, and would log an error for each.
+            self.handshake_complete = True
 
     def connection_lost(self, exc: Exception | None) -> None:
         connection_of(self.app_state).lost()

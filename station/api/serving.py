@@ -82,6 +82,7 @@ async def serve(
         api,
         ssl_keyfile=None if identity is None else identity.key,
         ssl_certfile=None if identity is None else identity.certificate,
+        log_config=None,  # its lines go where ours go, repeated ones once a minute
         log_level="warning",
         access_log=False,
         lifespan="off",

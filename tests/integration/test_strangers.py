@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import ssl
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -123,6 +124,16 @@ async def test_a_connection_ends_with_a_refusal_and_goes_on_for_who_is_known(tmp
         for _ in range(2):
             await known[0].readuntil(b"HTTP/1.1 503 ")
         leave([stranger, known])
+
+
+async def test_refused_sockets_leave_no_line_in_the_log(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    async with guarded_station(tmp_path) as station:
+        for path in ("/ws/events", "/ws/drive", "/ws/nothing"):
+            with pytest.raises(websockets.InvalidStatus, match="401"):
+                async with station.socket(path):
+                    pass
+    assert logging.getLogger("uvicorn.error").propagate  # else nothing of it would be seen here
+    assert [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING] == []
 
 
 @pytest.mark.parametrize("path", ["/maps", "/stop", "/drive", "/nothing"])
