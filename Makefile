@@ -68,7 +68,7 @@ bench-page: $(VENV)/.dev
 	@$(BIN)/python -m benchmarks.bench_page
 
 bench-network: $(VENV)/.dev
-	@$(BIN)/python -m benchmarks.bench_network $(if $(DEMO),--demo $(DEMO))
+	@$(BIN)/python -m benchmarks.bench_network
 
 soak: $(VENV)/.dev
 	@$(BIN)/python -m benchmarks.bench_link --minutes $(MINUTES)

@@ -1,11 +1,11 @@
 """A robot and a station at the two ends of a home's networks: pictures, driving, stops, clock and IMU over each.
 
-    python -m benchmarks.bench_network [--profiles "two walls" bad] [--seconds 120] [--demo 1-10]   (make bench-network)
+    python -m benchmarks.bench_network [--profiles "two walls" bad] [--seconds 120]   (make bench-network)
 
 robot-server with simulated devices runs in one network namespace, the station in another, paired and by TLS; between
 them a process carries packets as a profile says (tests/support/network). Here is the page: it takes pictures, holds a
 joystick for some three seconds, lets go, and begins anew; in every third hold the network carries nothing for a second.
-`--demo`: also what SLAM and the current place make of such a link, by the demo on these flats.
+What SLAM and the current place make of such a link: bench_network_demo.
 All programs share one machine and one clock: the true clock offset and drift are 0. Needs root.
 """
 
@@ -29,8 +29,6 @@ from types import FrameType
 
 import numpy as np
 
-from benchmarks.bench_mapping import parse_seeds
-from benchmarks.network_demo import demo_figures
 from benchmarks.result import Figure, Run, add_results_option, share
 from robot.simulation.config import SimulationConfig
 from station.demo.station_client import StationClient
@@ -322,7 +320,6 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--blind", action="store_true", help="drive by pictures of any age, which the page does not")
     parser.add_argument("--tcp", action="store_true", help="each network first with pictures by TCP alone")
-    parser.add_argument("--demo", default="", metavar="SEEDS", help="flats, as 1-10, for the demo over each network")
     add_results_option(parser, "network")
     options = parser.parse_args()
     run = Run.begin()
@@ -340,8 +337,6 @@ def main() -> int:
             found += told
         seen = measure(name, options)
         of_profile = figures(name, seen)
-        if options.demo:
-            of_profile += demo_figures(name, parse_seeds(options.demo))
         show(of_profile, seen)
         found += of_profile
     run.write(options.results, found)
