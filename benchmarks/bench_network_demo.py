@@ -124,12 +124,17 @@ def figures(name: str, rows: Sequence[dict[str, Any]]) -> Iterator[Figure]:
     right, wrong, not_known = (sum(row[key] for row in mapped) for key in ("right", "wrong", "not_known"))
     lost_s = max((row["slam_lost_s"] for row in mapped), default=None)
     error_m = max((row["map_error_m"] for row in mapped), default=None)
-    passed, why = sum(row["passed"] for row in rows), failed_seeds(list(rows), lambda row: str(row["said"]))
+    passed, why = sum(row["passed"] for row in rows), failed_seeds(list(rows), why_not)
     yield share(f"{name}: demo: flats that passed", passed, len(rows), at_least=PASSED_PERCENT.get(name), note=why)
     yield Figure(f"{name}: demo: SLAM lost in the mapping drive, longest", lost_s, "s", of=len(mapped))
     yield Figure(f"{name}: demo: ATE of the mapping drive, worst", error_m, "m", of=len(mapped))
     yield share(f"{name}: demo: answers known and right", right, right + wrong + not_known)
     yield share(f"{name}: demo: known answers that are right", right, right + wrong)
+
+
+def why_not(row: dict[str, Any]) -> str:
+    """The end of what the judge says, or how the demo ended."""
+    return str(row["said"]).rpartition(": FAILED: ")[2]
 
 
 def main() -> int:
