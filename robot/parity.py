@@ -48,6 +48,7 @@ class Losses:
         most = min(pieces // 2 + 2, MAX_PARITY)
         for count in range(1, most):
             usual = (pieces + count) * self.share
-            if usual + SIGMAS * math.sqrt(usual * (1.0 - self.share) * self.clustering) <= count:
+            # Half a piece more: whole numbers are compared with a continuous distribution.
+            if usual + SIGMAS * math.sqrt(usual * (1.0 - self.share) * self.clustering) <= count + 0.5:
                 return count
         return most

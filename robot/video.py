@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from robot.devices.ports import CapturedFrame
 from robot.frame_budget import (
     BEFORE_MEASURED,
-    LEAST_QUALITY,
     UNLIMITED,
     FrameBudget,
     SizeModel,
@@ -159,8 +158,7 @@ class VideoStream:
         if estimate is None or self._is_unlimited:
             return
         own_bytes = len(picture.frame.jpeg)
-        least_bytes = min(own_bytes, self._sizes.size(own_bytes, LEAST_QUALITY))
-        wanted = budget(estimate, own_bytes, least_bytes, self._slot.period_ns, self._budget)
+        wanted = budget(estimate, own_bytes, self._sizes, self._slot.period_ns, self._budget)
         is_whole = wanted.interval_ns == 0 and wanted.num_bytes >= own_bytes
         self.is_thin |= self._meter.is_settled and not is_whole
         if now_ns - self._considered_ns >= RECONSIDERED_NS or self._budget in (UNLIMITED, BEFORE_MEASURED):

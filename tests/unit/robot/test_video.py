@@ -156,6 +156,13 @@ def test_pictures_are_fresh_at_an_older_station_too(mbit_s: float, delay_ms: flo
     assert float(np.percentile(link.ages_ms(15.0), 99)) <= 250.0
 
 
+@pytest.mark.parametrize("mbit_s", [2.0, 3.0, 6.0])
+def test_pictures_come_less_often_rather_than_too_coarse_to_know_a_place_by(mbit_s: float) -> None:
+    link = ThinLink(lambda _: mbit_s * 125_000, delay_ms=40.0)
+    link.run(20.0)
+    assert median(size for *_, size in link.frames[-50:]) >= 0.6 * OWN_BYTES * SIZE_AT[20]
+
+
 @pytest.mark.parametrize(("mbit_s", "delay_ms"), [(40.0, 3.0), (6.0, 15.0), (2.0, 40.0)])
 def test_pictures_come_evenly(mbit_s: float, delay_ms: float) -> None:
     link = ThinLink(lambda _: mbit_s * 125_000, delay_ms)
@@ -300,7 +307,7 @@ def test_two_stations_share_what_was_made_smaller() -> None:
 )
 def test_every_link_has_a_budget(mbit_s: float, trip_ms: int, other: float, own: int, period_ms: int) -> None:
     estimate = LinkEstimate(mbit_s * 125_000, trip_ms * MS, other)
-    found = budget(estimate, own, own / 4, period_ms * MS, UNLIMITED)
+    found = budget(estimate, own, SizeModel(), period_ms * MS, UNLIMITED)
     assert found.num_bytes > 0 and found.interval_ns >= 0
 
 
