@@ -1,6 +1,7 @@
 """A robot and a station at the two ends of a home's networks: pictures, driving, stops, clock and IMU over each.
 
     python -m benchmarks.bench_network [--profiles "two walls" bad] [--seconds 120]   (make bench-network)
+    python -m benchmarks.bench_network --cuts-alone --seconds 240        every hold is cut: do motors stop in time
 
 robot-server with simulated devices runs in one network namespace, the station in another, paired and by TLS; between
 them a process carries packets as a profile says (tests/support/network). Here is the page: it takes pictures, holds a
@@ -47,7 +48,7 @@ SAMPLE_EVERY_S = 0.5
 # of its least once in 150 draws: before such a time no estimate can be asked for that, only for how wrong it may be.
 CLOCK_SETTLES_S = 60.0
 HOLD_S, REST_S, CUT_AFTER_S, CUT_S = 3.0, 0.8, 1.5, 1.0
-CUT_EVERY = 3  # holds
+CUT_EVERY = 3  # holds, where cuts are not all there is
 SPEED_M_S = 0.2
 EVEN = 1.5  # a gap between pictures is even that is at most so many times the median one
 
@@ -150,7 +151,8 @@ async def observe(
             await asyncio.sleep(WARM_UP_S)
             seen.begin_ns = time.monotonic_ns()
             tasks.append(asyncio.create_task(sample(client, seen)))
-            await drive(network, name, joystick, seen, options.seconds, random.Random(options.seed))
+            cut_every = 1 if options.cuts_alone else CUT_EVERY
+            await drive(network, name, joystick, seen, options.seconds, cut_every, random.Random(options.seed))
             seen.end_ns = time.monotonic_ns()
             robot_state = await asyncio.to_thread(client.get, "/robot")
         finally:
@@ -185,7 +187,13 @@ async def sample(client: StationClient, seen: Observed) -> None:
 
 
 async def drive(
-    network: Network, name: str, joystick: Joystick, seen: Observed, seconds: float, rng: random.Random
+    network: Network,
+    name: str,
+    joystick: Joystick,
+    seen: Observed,
+    seconds: float,
+    cut_every: int,
+    rng: random.Random,
 ) -> None:
     """Hold and let go, forwards and backwards in turn."""
     end_s = time.monotonic() + seconds
@@ -195,7 +203,7 @@ async def drive(
         speed_m_s = SPEED_M_S if number % 2 == 0 else -SPEED_M_S
         hold = Hold(time.monotonic_ns())
         seen.holds.append(hold)
-        if number % CUT_EVERY == CUT_EVERY - 1:
+        if number % cut_every == cut_every - 1:
             await joystick.hold(hold, CUT_AFTER_S + 0.3 * rng.random(), speed_m_s)
             hold.cut_ns = time.monotonic_ns()
             network.use(replace(PROFILES[name], loss=1.0))
@@ -217,9 +225,11 @@ def percentile(values: Sequence[float], percent: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def figures(name: str, seen: Observed) -> list[Figure]:
+def figures(name: str, seen: Observed, cuts_alone: bool = False) -> list[Figure]:
     """What is asked of a link."""
-    found = [*video_figures(name, seen), *drive_figures(name, seen), *clock_figures(seen)]
+    found = list(cut_figures(seen))
+    if not cuts_alone:
+        found = [*video_figures(name, seen), *drive_figures(name, seen), *found, *clock_figures(seen)]
     return [replace(figure, what=f"{name}: {figure.what}") for figure in found]
 
 
@@ -246,8 +256,6 @@ def drive_figures(name: str, seen: Observed) -> Iterator[Figure]:
     again_ns = [hold.pressed_ns for hold in seen.holds[1:]] + [seen.end_ns]
     rests = [(h.released_ns, end_ns) for h, end_ns in zip(seen.holds, again_ns, strict=True) if h.cut_ns is None]
     let_go = present(judging.stopped_ms(*rest, told) for rest in rests)
-    cuts = [(hold.cut_ns, hold.mended_ns) for hold in seen.holds if hold.cut_ns is not None]
-    after_cut, silent = (present(of(*cut, told) for cut in cuts) for of in (judging.stopped_ms, judging.silent_ms))
     yield Figure("drive command to motors, median", percentile(delays_ms, 50), "ms", of=len(delays_ms))
     yield Figure(
         "drive command to motors, 99 %", percentile(delays_ms, 99), "ms", DRIVE_P99_MS.get(name), of=len(delays_ms)
@@ -260,6 +268,12 @@ def drive_figures(name: str, seen: Observed) -> Iterator[Figure]:
     yield Figure("drive commands refused", seen.refusals)
     yield Figure("joystick let go to motors stopped, 99 %", percentile(let_go, 99), "ms", of=len(let_go))
     yield Figure("joystick let go to motors stopped, longest", percentile(let_go, 100), "ms", of=len(let_go))
+
+
+def cut_figures(seen: Observed) -> Iterator[Figure]:
+    """How soon the motors stop when the network carries nothing any more."""
+    cuts = [(hold.cut_ns, hold.mended_ns) for hold in seen.holds if hold.cut_ns is not None]
+    after_cut, silent = (present(of(*cut, seen.told) for cut in cuts) for of in (judging.stopped_ms, judging.silent_ms))
     yield Figure(
         "network cut while driving: motors stopped, longest", percentile(after_cut, 100), "ms", of=len(after_cut)
     )
@@ -319,6 +333,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=120.0, help="how long each is driven over")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--blind", action="store_true", help="drive by pictures of any age, which the page does not")
+    parser.add_argument("--cuts-alone", action="store_true", help="cut every hold, and tell only when motors stopped")
     parser.add_argument("--tcp", action="store_true", help="each network first with pictures by TCP alone")
     add_results_option(parser, "network")
     options = parser.parse_args()
@@ -332,11 +347,12 @@ def main() -> int:
         if options.tcp:
             seen = measure(name, options, ["tcp"])
             # What is asked is asked of the robot as it is.
-            told = [replace(f, what=f"TCP alone, {f.what}", at_most=None, at_least=None) for f in figures(name, seen)]
+            told = figures(name, seen, options.cuts_alone)
+            told = [replace(f, what=f"TCP alone, {f.what}", at_most=None, at_least=None) for f in told]
             show(told, seen)
             found += told
         seen = measure(name, options)
-        of_profile = figures(name, seen)
+        of_profile = figures(name, seen, options.cuts_alone)
         show(of_profile, seen)
         found += of_profile
     run.write(options.results, found)

@@ -33,6 +33,7 @@ SUITE = (
     Benchmark("fuzz", LINK, "bench_fuzz", "--inputs 1000000", "--inputs 2000"),
     Benchmark("stop", LINK, "bench_stop", "", "--scale 0.01", has_own_target=True),
     Benchmark("network", LINK, "bench_network", "--seconds 240", "--profiles bad --seconds 5", has_own_target=True),
+    Benchmark("network_cuts", LINK, "bench_network", "--cuts-alone --seconds 240", None),
     Benchmark("network_demo", LINK, "bench_network_demo", "--seeds 1-10", None),
     Benchmark("fleet", LINK, "bench_fleet", "--minutes 10", "--minutes 0.5 --robots 2"),
     Benchmark("memory", LINK, "bench_memory", "--minutes 180 --warm-up 10", "--minutes 0.5 --warm-up 0.2"),
