@@ -214,7 +214,7 @@ class VioFilter:
         due = enough & ~is_live
         if leaving == 0:
             due |= enough & tracks.seen[:, 0]
-        free = config.num_landmarks - state.num_landmarks
+        free = 0 if len(state.head) else config.num_landmarks - state.num_landmarks
         wanted = min(free, config.max_new_landmarks)
         coming = np.zeros_like(due)
         if wanted > 0:

@@ -2,6 +2,8 @@
 
 What images are compared with is a pose of the head, T_world_head = T_world_body @ T_body_head: cloned from the body's
 with the servos' errors as they are estimated at that time, so that everything behind sees a camera fixed to what moves.
+From the head's first turn on no landmark is in the state: tracks constrain the clones alone. With landmarks paths came out
+2 to 4 % too short (docs/studies/ukf.md, "A head that turns").
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from shared.geometry import FloatArray, skew
 from station.motion.error_coordinates import ErrorKind, as_displacement, from_displacement
 from station.motion.head import NUM_ERRORS, PLAY, SIGMA_PLAY_RAD, HeadPose, errors_before_the_drive
 from station.slam.ukf.filter.roots import triangular
-from station.slam.ukf.filter.state import PHI, XI_X, FilterState, add_clone
+from station.slam.ukf.filter.state import PHI, XI_X, FilterState, add_clone, keep_landmarks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,11 +35,12 @@ def turn_head(state: FilterState, head: HeadPose, known: ServosKnown | None) -> 
     """The servos' errors at the next time: their constants stay, their play changes.
 
     The play of each is a Gauss-Markov process: e <- stay e + change w, where stay^2 + (change / sigma)^2 = 1 keeps its
-    spread. Errors enter the state when the head is turned for the first time, as they are `known` by then.
+    spread. Errors enter the state when the head is turned for the first time, as they are `known` by then, and landmarks
+    leave it.
     """
     if not len(state.head):
         known = known or ServosKnown(np.zeros(NUM_ERRORS), errors_before_the_drive(head.calibration))
-        return _add_head(state, known)
+        return _add_head(keep_landmarks(state, np.zeros(state.num_landmarks, dtype=bool)), known)
     change = np.minimum(head.sigma_change, SIGMA_PLAY_RAD)
     stay = np.ones(NUM_ERRORS)
     stay[PLAY] = np.sqrt(1.0 - (change / SIGMA_PLAY_RAD) ** 2)
@@ -77,17 +80,3 @@ def add_head_clone(kind: ErrorKind, state: FilterState, head: HeadPose, frame_in
     S[cloned.clone_rows(last)] = np.vstack([phi, xi])
     clone_R[last], clone_x[last], clone_v[last], clone_omega[last] = R, x, v, omega
     return replace(cloned, S=S, clone_R=clone_R, clone_x=clone_x, clone_v=clone_v, clone_omega=clone_omega)
-
-
-def landmarks_seen_from_head(kind: ErrorKind, state: FilterState, p: FloatArray, S_p: FloatArray) -> FloatArray:
-    """Errors of landmarks p (q, 3) as if they belonged to the group of the newest clone instead of the body's.
-
-    Args:
-        S_p: (q, 3, k) their rows of S.
-    """
-    if not len(state.head) or kind is ErrorKind.PLAIN:
-        return S_p
-    last = state.num_clones - 1
-    if kind is ErrorKind.LEFT:
-        return state.clone_R[last].T @ state.R @ S_p
-    return S_p + skew(p) @ (state.S[state.clone_rows(last)][:3] - state.S[PHI])

@@ -9,7 +9,6 @@ import numpy as np
 from shared.geometry import FloatArray, IntArray, skew
 from station.motion.error_coordinates import ErrorKind
 from station.slam.mapping.rolling_shutter import observation_pose
-from station.slam.ukf.filter.head import landmarks_seen_from_head
 from station.slam.ukf.filter.measurement import linearise, regress
 from station.slam.ukf.filter.state import PHI, FilterState
 from station.slam.ukf.filter.update import Gate, Measurements, huber_weights, mahalanobis, select
@@ -54,7 +53,6 @@ def measure_landmarks(
     R, x = state.clone_R[-1], state.clone_x[-1]
     S_pose = state.S[state.clone_rows(state.num_clones - 1)]
     S_p = state.S[state.first_landmark_row :].reshape(state.num_landmarks, 3, -1)[index]
-    S_p = landmarks_seen_from_head(kind, state, p, S_p)
     Z = np.concatenate([np.broadcast_to(S_pose, (len(index), *S_pose.shape)), S_p], axis=1)  # (q, 9, k)
     if use_sigma_points:
         local = Z @ np.swapaxes(Z, 1, 2)

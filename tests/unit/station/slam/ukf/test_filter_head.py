@@ -13,7 +13,7 @@ from station.motion.head import NUM_ERRORS, PLAY, SIGMA_PLAY_RAD, HeadPose, erro
 from station.motion.imu_buffer import ImuBuffer
 from station.slam.ukf.filter.config import FilterConfig
 from station.slam.ukf.filter.filter import VioFilter
-from station.slam.ukf.filter.head import ServosKnown, add_head_clone, landmarks_seen_from_head, turn_head
+from station.slam.ukf.filter.head import ServosKnown, add_head_clone, turn_head
 from station.slam.ukf.filter.state import FilterState, initial_state, retract
 from tests.support.synthetic_run import observe, room_points, sine_path
 
@@ -82,25 +82,14 @@ def test_the_clone_is_the_head_and_moves_as_it_does() -> None:
     np.testing.assert_allclose(cloned.clone_omega[0], vee(step[:3, :3]) / dt, atol=1e-4)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_landmarks_stay_where_they_are_whosever_group_they_belong_to(kind: ErrorKind) -> None:
-    state = turned_state(4)
-    p = RNG.normal(size=(2, 3))
-    state = replace(state, landmark_id=np.arange(2), landmark_p=p)
-    state = replace(state, S=np.vstack([state.S, 1e-3 * RNG.normal(size=(6, state.S.shape[1]))]))
-    cloned = add_head_clone(kind, state, head_at(0.9, 0.2), 7)
-    S_p = cloned.S[cloned.first_landmark_row :].reshape(2, 3, -1)
-    seen = landmarks_seen_from_head(kind, cloned, p, S_p)
-    h, last = 1e-4, cloned.clone_rows(0)
-    for column in range(cloned.S.shape[1]):
-        a, b = (retract(kind, cloned, sign * h * cloned.S[:, column]) for sign in (1.0, -1.0))
-        moved = (a.landmark_p - b.landmark_p) / (2 * h)
-        phi, xi = cloned.S[last][:3, column], seen[:, :, column]
-        if kind is ErrorKind.RIGHT:
-            expected = np.cross(phi, p) + xi
-        else:
-            expected = xi @ cloned.clone_R[0].T if kind is ErrorKind.LEFT else xi
-        np.testing.assert_allclose(moved, expected, atol=1e-6)
+def test_no_landmark_is_in_the_state_of_a_head_that_turned() -> None:
+    fresh = initial_state(0, np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), 1e-3 * np.eye(15))
+    S = np.vstack([fresh.S, 1e-3 * RNG.normal(size=(6, fresh.S.shape[1]))])
+    with_two = replace(fresh, landmark_id=np.arange(2), landmark_p=RNG.normal(size=(2, 3)), S=S)
+    state = turn_head(with_two, head_at(0.5, 0.1), None)
+    assert state.num_landmarks == 0
+    np.testing.assert_allclose(state.covariance[:15, :15], fresh.covariance, atol=1e-15)
+    assert state.size == 15 + NUM_ERRORS
 
 
 def test_turning_changes_the_play_and_leaves_the_constants() -> None:
@@ -149,7 +138,8 @@ def test_the_filter_finds_the_servos_errors_and_knows_how_well() -> None:
     off, sigma = [], []
     for k, frame in enumerate(frames):
         segment = buffer.segment(vio.state.t_imu_ns, int(truth.t_ns[k]))
-        vio.process_frame(segment, frame, k, head=heads[k] if t_s[k] > 0.5 else None)
+        result = vio.process_frame(segment, frame, k, head=heads[k] if t_s[k] > 0.5 else None)
+        assert result.num_landmarks == 0 or t_s[k] <= 0.5
         if t_s[k] > 2.0:
             state, by = vio.state, heads[k].by_errors
             off.append(float((by @ (state.head - errors))[0]))
