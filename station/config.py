@@ -257,6 +257,11 @@ def choose_backend(name: str, calibration: Calibration) -> str:
     return "ukf" if can_filter(calibration) and calibration.has_wheels else "sfm"
 
 
+def follows_head(name: str, calibration: Calibration) -> bool:
+    """Whether that backend knows where a pan-tilt head has the camera: of a head whose pivot was measured."""
+    return choose_backend(name, calibration) == "ukf" and calibration.head is not None
+
+
 def can_filter(calibration: Calibration) -> bool:
     """Whether there is all that ukf needs: an IMU, and a camera that was measured."""
     return calibration.imu is not None and calibration.camera is not None and calibration.camera.is_measured

@@ -11,7 +11,7 @@ from pathlib import Path
 from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
 from shared.messages import Hello
-from station.config import RecordingConfig, SlamConfig, choose_backend
+from station.config import RecordingConfig, SlamConfig, choose_backend, follows_head
 from station.errors import Conflict
 from station.events import Level, LogLine, Notifier
 from station.files.navigation_folder import load_navigation
@@ -106,6 +106,12 @@ class CurrentNavigation(LinkListeners):
     def is_busy(self) -> bool:
         """A navigation is being recorded, or about to be."""
         return self._running is not None or self._beginning is not None
+
+    @property
+    def head_must_rest(self) -> bool:
+        """A navigation is being recorded, or about to be, whose SLAM takes the camera where the calibration has it."""
+        recorded = self._running or self._beginning
+        return recorded is not None and not follows_head(self._config.backend, recorded.hello.calibration)
 
     async def start(self, hello: Hello, name: str) -> NavigationRecord:
         """Begin a navigation; it is kept when this returns. Raises DataError when there is no room for it.

@@ -147,9 +147,9 @@ class RobotSession(IgnoringListener):
     def head_must_rest(self) -> str:
         """Why the camera head must look straight ahead, in a sentence; empty when it may turn.
 
-        The calibration tells where the camera is while it does; nothing tells the estimation where it is otherwise.
+        The calibration tells where the camera is while it does; otherwise only one SLAM backend knows where it is.
         """
-        if self.current_navigation.is_busy:
+        if self.current_navigation.head_must_rest:
             return "a navigation is being recorded, and the camera must look straight ahead for it; stop that first"
         if self.guided_calibration.is_busy:
             return "the robot is being calibrated, and the camera must look straight ahead for it; finish that first"

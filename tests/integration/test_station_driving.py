@@ -274,6 +274,14 @@ async def test_pan_tilt_reaches_the_head(tmp_path: Path) -> None:
         assert (await desk.http.post("/pan-tilt", json={"pan": 0.0, "tilt": 0.0})).status_code == 200
 
 
+async def test_the_head_may_turn_while_a_backend_records_that_knows_where_it_is(tmp_path: Path) -> None:
+    async with at_work(tmp_path, backend="ukf") as (desk, bench, _):
+        assert (await desk.http.post("/navigations")).status_code == 201
+        assert (await desk.http.get("/robot")).json()["head_must_rest"] == ""
+        assert (await desk.http.post("/pan-tilt", json={"pan": 0.3, "tilt": -0.1})).status_code == 200
+        await until(lambda: bench.head.pointed[-1:] == [(0.3, -0.1)])
+
+
 async def test_the_head_is_centred_when_a_map_becomes_active(tmp_path: Path) -> None:
     place_map = store_map(tmp_path)
     async with at_work(tmp_path) as (desk, bench, _):
