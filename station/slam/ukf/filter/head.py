@@ -2,8 +2,8 @@
 
 What images are compared with is a pose of the head, T_world_head = T_world_body @ T_body_head: cloned from the body's
 with the servos' errors as they are estimated at that time, so that everything behind sees a camera fixed to what moves.
-From the head's first turn on no landmark is in the state: tracks constrain the clones alone. With landmarks paths came out
-2 to 4 % too short (docs/studies/ukf.md, "A head that turns").
+From the head's first turn on no landmark is in the state: tracks constrain the clones alone. With landmarks paths came
+out 2 to 4 % too short (docs/studies/ukf.md, "A head that turns").
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ def turn_head(state: FilterState, head: HeadPose, known: ServosKnown | None) -> 
     """The servos' errors at the next time: their constants stay, their play changes.
 
     The play of each is a Gauss-Markov process: e <- stay e + change w, where stay^2 + (change / sigma)^2 = 1 keeps its
-    spread. Errors enter the state when the head is turned for the first time, as they are `known` by then, and landmarks
-    leave it.
+    spread. Errors enter the state when the head is turned for the first time, as they are `known` by then, and
+    landmarks leave it.
     """
     if not len(state.head):
         known = known or ServosKnown(np.zeros(NUM_ERRORS), errors_before_the_drive(head.calibration))
