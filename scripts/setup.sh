@@ -52,7 +52,10 @@ has_pip || {
   make_venv || exit 1
 }
 extras=robot,simulation,station
-[ "$kind" = dev ] && extras+=,dev
+if [ "$kind" = dev ]; then
+  extras+=,dev
+  export SENTINEL_PAGE_TOOLS=1 # or `make lint` would install npm's packages a second time
+fi
 echo "setup: installing $extras (a few minutes the first time)"
 "$venv/bin/python" -m pip install --disable-pip-version-check --quiet --upgrade pip
 "$venv/bin/python" -m pip install --disable-pip-version-check --quiet --no-compile -c constraints.txt -e ".[$extras]"

