@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -59,10 +60,17 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def matched(data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
-    """What matching the map with the second navigation told, and the folder that it wrote."""
+def built(data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
+    """What building a map of the first navigation told, and the map; its places are called after rooms."""
+    folder = tmp_path_factory.mktemp("built") / "map"
+    return run("map", "build", data / "nav1", "--out", folder, "--name", "Flat"), folder
+
+
+@pytest.fixture(scope="module")
+def matched(data: Path, built: tuple[str, Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
+    """What matching that map with the second navigation told, and the folder that it wrote."""
     out = tmp_path_factory.mktemp("matched") / "out"
-    return run("match", data / "map1", data / "nav2", "--out", out), out
+    return run("match", built[1], data / "nav2", "--out", out), out
 
 
 def run(*arguments: str | Path) -> str:
@@ -134,9 +142,11 @@ def test_a_map_without_places_is_matched_with_nothing_and_says_so(data: Path, tm
     assert json.loads((tmp_path / "out" / "results.json").read_text())["matches"] == []
 
 
-def test_a_map_is_built_shown_and_matched(data: Path, matched: tuple[str, Path], tmp_path: Path) -> None:
-    printed = run("map", "build", data / "nav1", "--out", tmp_path / "map", "--name", "Flat")
-    assert "places" in printed
+def test_a_map_is_built_shown_and_matched(
+    data: Path, built: tuple[str, Path], matched: tuple[str, Path], tmp_path: Path
+) -> None:
+    assert "places" in built[0]
+    shutil.copytree(built[1], tmp_path / "map")
     graph = json.loads(run("map", "show", tmp_path / "map", "--json"))
     names = [node["name"] for node in graph["nodes"]]
     assert (tmp_path / "map" / "graph.graphml").read_text().startswith("<?xml") or "<graphml" in (
@@ -160,8 +170,6 @@ def test_a_map_is_built_shown_and_matched(data: Path, matched: tuple[str, Path],
     assert results["matches"] and all(match["correct"] is None for match in results["matches"])
     # A place that a person hides is no answer any more, and not in the graph; its neighbours are.
     place_map = load_map_folder(tmp_path / "map")
-    run("match", tmp_path / "map", data / "nav2", "--out", tmp_path / "first")  # whose places are called after rooms
-    results = json.loads((tmp_path / "first" / "results.json").read_text())
     hidden = results["matches"][0]["place"]
     (hidden_id,) = (place.id for place in place_map.places if place.name == hidden)
     save_map_folder(with_place_hidden(place_map, hidden_id, hidden=True), tmp_path / "map")
@@ -198,10 +206,10 @@ def test_a_refused_registration_is_no_success_and_its_report_is_written_all_the_
 
 
 def test_a_map_that_the_station_keeps_is_matched_by_its_id(
-    data: Path, matched: tuple[str, Path], tmp_path: Path
+    data: Path, built: tuple[str, Path], matched: tuple[str, Path], tmp_path: Path
 ) -> None:
     store = MapStore(tmp_path / "station" / "maps")
-    kept = load_map_folder(data / "map1")
+    kept = load_map_folder(built[1])
     store.save(kept)
     store.close()
     out = tmp_path / "out"
