@@ -31,6 +31,7 @@ logger = logging.getLogger(__name__)
 LEASE_NS = 1_000_000_000  # who has not commanded for so long gives the wheel away
 SETTLING_NS = 50_000_000  # a held-up burst is read at once; what comes so much later shows how late the burst was
 PAUSE_NS = 20_000_000  # a line through the quickest arrivals is not that wrong; a clock that stood still is
+STARTING_SHARE = 0.5  # of its life that a command must have left to start motors: no command in a silence has so much
 MAX_AHEAD = 1024  # commands by datagram that the connection has not brought yet: it is dead long before
 About = Literal["hijack", "calibration"] | msgspec.UnsetType  # which question a notice answers
 
@@ -250,7 +251,10 @@ class CommandDesk:
                 return self._refuse("not_driver", reason)
             case "granted":
                 pass
-        if not self.watchdog.command(wish, until_ns):
+        # Of a driver who has fallen silent a last command may come when the one before it has run out, and would start
+        # the motors for what is left of its life. A driver who goes on says the next one soon: that starts them.
+        may_start = until_ns - now_ns >= STARTING_SHARE * message.ttl_ms * 1_000_000
+        if not self.watchdog.command(wish, until_ns, may_start=may_start):
             return self._refuse("device", "the motors are shut down; restart robot-server")
         return None
 

@@ -50,14 +50,15 @@ class DriveGuard:
         self.num_commands = 0
         self.stops = 0  # how often silence ended a motion
 
-    def command(self, wish: Velocity, until_ns: int, now_ns: int) -> bool:
+    def command(self, wish: Velocity, until_ns: int, now_ns: int, *, may_start: bool = True) -> bool:
         """Hold a velocity until a time, MAX_TTL_NS from now at most; what has lived already moves nothing.
 
-        False after `close`.
+        `may_start`: not only go on, also start from standstill. False after `close`.
         """
         if self._closed:
             return False
-        if wish.is_zero or until_ns > now_ns:
+        is_moving = not self.velocity(now_ns).is_zero
+        if wish.is_zero or (until_ns > now_ns and (is_moving or may_start)):
             self._wish = wish
             self._until_ns = min(until_ns, now_ns + MAX_TTL_NS)
             self.num_commands += 1
@@ -128,16 +129,17 @@ class MotorWatchdog:
         """Whether our thread lives and has looked at the clock lately."""
         return self._thread.is_alive() and self._now_ns() - self._looked_ns < STUCK_NS
 
-    def command(self, wish: Velocity, until_ns: int) -> bool:
+    def command(self, wish: Velocity, until_ns: int, *, may_start: bool = True) -> bool:
         """Hold a velocity until a monotonic time. False when closed or when our thread died: then nothing may move.
 
         A time, not a duration: this process may have been stopped since the caller looked at the clock.
+        `may_start`: not only go on, also start from standstill.
         """
         if not self._thread.is_alive():
             self._stop_motors()
             return False
         with self._changed:
-            accepted = self._guard.command(wish, until_ns, self._now_ns())
+            accepted = self._guard.command(wish, until_ns, self._now_ns(), may_start=may_start)
             self._changed.notify()
         return accepted
 

@@ -234,3 +234,14 @@ def test_a_command_read_before_and_carried_out_after_a_standstill_moves_nothing(
     command_desk.handle(1, Drive(seq=1, t_station_ns=9 * S, linear=0.1, angular=0.0, ttl_ms=250), 9 * S)
     command_desk.watchdog.close()
     assert (0.1, 0.0) not in motors.history
+
+
+@pytest.mark.parametrize(("late_ms", "starts"), [(90, True), (110, False)])
+def test_a_command_starts_motors_only_in_the_first_half_of_its_life(late_ms: int, starts: bool) -> None:
+    """The driver fell silent; what it had said last comes when the motors rest, and is not over yet."""
+    command_desk, motors = desk(9 * S + late_ms * MS)
+    assert command_desk.watchdog is not None
+    command_desk.handle(1, command(1, 9 * S), 9 * S + late_ms * MS)
+    assert not starts or motors.wait_for_last(0.1, 0.0)
+    command_desk.watchdog.close()
+    assert ((0.1, 0.0) in motors.history) is starts

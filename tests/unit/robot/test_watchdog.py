@@ -36,6 +36,17 @@ def wait_until_rests(watchdog: MotorWatchdog) -> None:
         time.sleep(0.001)
 
 
+def test_what_may_not_start_the_motors_keeps_them_moving_alone() -> None:
+    guard = DriveGuard()
+    guard.command(AHEAD, 200 * MS, 100 * MS, may_start=False)
+    assert guard.velocity(100 * MS) == STANDSTILL
+    guard.command(AHEAD, 200 * MS, 100 * MS)
+    guard.command(AHEAD, 220 * MS, 190 * MS, may_start=False)
+    assert guard.velocity(210 * MS) == AHEAD
+    guard.command(AHEAD, 240 * MS, 225 * MS, may_start=False)  # nobody had looked since it ended
+    assert guard.velocity(230 * MS) == STANDSTILL and guard.stops == 1
+
+
 @given(
     commands=st.lists(
         st.tuples(st.integers(0, 400 * MS), st.integers(-10, 10**12), st.sampled_from(["drive", "zero", "stop"])),
