@@ -137,7 +137,8 @@ def calibrate_camera(
     trials = []
     for trial in LENS_NAMES:
         advance(f"trying the lens model {trial}")
-        trials.append(try_lens(target, views, trial, size))
+        whole = fit if trial == fit.lens else fit_camera(corners, trial, size)
+        trials.append(try_lens(target, views, corners, whole))
     if lens is None and (chosen := (choose or most_read_lens)(trials)) != "radtan":
         fit, corners, views, disagreeing = _agreeing(target, different, chosen, size)  # another lens, others disagree
     advance("judging")
@@ -171,10 +172,8 @@ def best_lens(trials: Sequence[LensTrial]) -> LensTrial:
     return min((t for t in trials if t.lens in ROBOT_LENSES), key=lambda t: t.validation_px)
 
 
-def try_lens(target: Target, views: Sequence[BoardView], lens: LensName, size: tuple[int, int]) -> LensTrial:
-    """Fit a lens model to all views, and to all but a quarter of them in turn, foretelling that quarter."""
-    corners = stack_views(target, views)
-    whole = fit_camera(corners, lens, size)
+def try_lens(target: Target, views: Sequence[BoardView], corners: Corners, whole: Fit) -> LensTrial:
+    """Fit the lens model of `whole`, a fit to these views, to all but a quarter in turn, foretelling that quarter."""
     errors = []
     folds = min(FOLDS, len(views))
     for fold in range(folds):
@@ -191,7 +190,7 @@ def try_lens(target: Target, views: Sequence[BoardView], lens: LensName, size: t
         errors.append(np.linalg.norm(residuals(unseen, fit_poses(unseen, fitted)), axis=1))
     capped = np.minimum(np.concatenate(errors), 2.0)
     return LensTrial(
-        lens,
+        whole.lens,
         _rms(residuals(corners, whole)[whole.is_inlier]),
         float(np.sqrt(np.mean(capped**2))),
         float(1.0 - whole.is_inlier.mean()),
