@@ -16,7 +16,6 @@ import argparse
 import asyncio
 import math
 import random
-import signal
 import sys
 import tempfile
 import time
@@ -26,11 +25,10 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from types import FrameType
 
 import numpy as np
 
-from benchmarks.result import Figure, Run, add_results_option, share
+from benchmarks.result import Figure, Run, add_results_option, end_as_by_ctrl_c, share
 from robot.simulation.config import SimulationConfig
 from station.demo.station_client import StationClient
 from tests.support.network import judging
@@ -323,10 +321,6 @@ def show(figures: Sequence[Figure], seen: Observed) -> None:
     print(f"{seen.remark}\n", flush=True)
 
 
-def interrupt(_number: int, _frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--profiles", nargs="+", choices=PROFILES, default=list(PROFILES))
@@ -338,7 +332,7 @@ def main() -> int:
     add_results_option(parser, "network")
     options = parser.parse_args()
     run = Run.begin()
-    signal.signal(signal.SIGTERM, interrupt)  # as Ctrl-C: its programs have sessions of their own and would stay
+    end_as_by_ctrl_c()  # its programs have sessions of their own and would stay
     if (reason := missing_reason()) is not None:
         print(f"bench_network: {reason}", file=sys.stderr)
         return 1

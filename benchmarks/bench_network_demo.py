@@ -22,7 +22,16 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.bench_mapping import parse_seeds
-from benchmarks.result import Figure, Run, add_results_option, failed_seeds, rows_by_seed, share, work_folder
+from benchmarks.result import (
+    Figure,
+    Run,
+    add_results_option,
+    end_as_by_ctrl_c,
+    failed_seeds,
+    rows_by_seed,
+    share,
+    work_folder,
+)
 from shared.errors import RobotSystemError
 from station.demo.demo import START_TIMEOUT_S, Demo, DemoOptions, Timings, describe, map_hijack_and_ask, wait_for
 from station.demo.folder import fresh_folder
@@ -144,6 +153,7 @@ def main() -> int:
     add_results_option(parser, "network_demo")
     options = parser.parse_args()
     run = Run.begin()
+    end_as_by_ctrl_c()  # its programs would stay
     if (reason := missing_reason()) is not None:
         print(f"bench_network_demo: {reason}", file=sys.stderr)
         return 1

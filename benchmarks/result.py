@@ -17,12 +17,14 @@ import json
 import math
 import os
 import shlex
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import msgspec
@@ -190,6 +192,15 @@ def command_line(module: str, arguments: Sequence[str]) -> str:
         elif argument.partition("=")[0] not in HOUSEKEEPING:
             kept.append(os.path.relpath(argument, ROOT) if argument.startswith("/") else argument)
     return shlex.join(["python", "-m", module, *kept])
+
+
+def end_as_by_ctrl_c() -> None:
+    """From now on SIGTERM, too, unwinds the stack, which ends what was started."""
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, interrupt)
 
 
 def cpu_model() -> str:
