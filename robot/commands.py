@@ -55,7 +55,8 @@ class CommandOrder:
     def __init__(self) -> None:
         self._clock = RemoteClock(MAX_CRYSTAL_DRIFT)
         self._first_ns: int | None = None
-        self._last_seq = -1
+        self._last_seq = -1  # of drive and stop
+        self._heard_seq = -1  # of heartbeats, too: all share one count
         self._has_heard_ns: int | None = None
         self._newest_ns: int | None = None  # station's time: newest said, by either way
         self._newest_datagram_ns: int | None = None
@@ -122,6 +123,12 @@ class CommandOrder:
         until_ns = min(fit.to_local_ns(command.t_station_ns), arrived_ns) + command.ttl_ms * 1_000_000
         return until_ns if until_ns > arrived_ns else None
 
+    def follows(self, seq: int) -> bool:
+        """Whether nothing was said between this number and the newest so far; counts it."""
+        is_next = self._heard_seq < 0 or seq <= self._heard_seq + 1
+        self._heard_seq = max(self._heard_seq, seq)
+        return is_next
+
     def is_newest(self, seq: int) -> bool:
         """Whether this number is higher than all before: drive and stop share one count."""
         is_newest = seq > self._last_seq
@@ -161,11 +168,15 @@ class CommandDesk:
 
     def note_heard(self, client: int, sent_ns: int) -> None:
         """This station has heard what we sent then, and all before it."""
-        self._orders.setdefault(client, CommandOrder()).note_heard(sent_ns)
+        self._order(client, sent_ns).note_heard(sent_ns)
 
     def note_time(self, client: int, t_station_ns: int, now_ns: int) -> None:
         """A datagram has come that the station stamped."""
-        self._orders.setdefault(client, CommandOrder()).observe(t_station_ns, now_ns, is_datagram=True)
+        self._order(client, now_ns).observe(t_station_ns, now_ns, is_datagram=True)
+
+    def listen(self, now_ns: int) -> None:
+        """To be called several times a second: silence counts only while we listen."""
+        self.lease.listen(now_ns)
 
     def handle(
         self, client: int, message: StationMessage, now_ns: int, *, is_datagram: bool = False
@@ -176,9 +187,10 @@ class CommandDesk:
             now_ns: when its bytes were read, the same for all that were read together.
             is_datagram: a drive or stop that is on its way by the connection as well.
         """
-        order = self._orders.setdefault(client, CommandOrder())
+        order = self._order(client, now_ns)
         match message:
             case Heartbeat():
+                order.follows(message.seq)
                 order.observe(message.t_station_ns, now_ns)
                 return None
             case Drive():
@@ -219,6 +231,12 @@ class CommandDesk:
         if self.lease.leave(client) and self.watchdog is not None:
             self.watchdog.stop()
 
+    def _order(self, client: int, now_ns: int) -> CommandOrder:
+        if client not in self._orders:
+            self._orders[client] = CommandOrder()
+            self.lease.hear_holding(client, now_ns)  # it may be one that was stopped, whose connection broke
+        return self._orders[client]
+
     def _drive(
         self, client: int, order: CommandOrder, message: Drive, now_ns: int, is_datagram: bool
     ) -> ErrorNotice | None:
@@ -226,9 +244,12 @@ class CommandDesk:
             return self._refuse("not_capable", "this robot has no motors")
         wish = Velocity(message.linear, message.angular)
         is_first = order.is_first(message.seq, is_datagram=is_datagram)
+        follows = order.follows(message.seq)
         until_ns = order.until_ns(message, now_ns, is_datagram=is_datagram)
         if not is_first:
             return None
+        if not wish.is_zero and (until_ns is None or not follows):
+            self.lease.hear_holding(client, now_ns)  # a network that froze is no driver who let go
         if until_ns is None:
             if wish.is_zero and self.lease.last_driver == client:
                 self.watchdog.stop()  # letting go counts however late it comes
@@ -259,6 +280,7 @@ class CommandDesk:
         return None
 
     def _stop(self, client: int, order: CommandOrder, message: Stop, now_ns: int) -> ErrorNotice | None:
+        order.follows(message.seq)
         order.is_newest(message.seq)  # commands sent before it are old now
         if client != self.lease.driver(now_ns):  # a station stops by itself, too: its own stop is no letting go
             self.lease.stop(None, now_ns)

@@ -346,6 +346,7 @@ class RobotServer:
     async def _tick_forever(self) -> None:
         for count in itertools.count():
             await asyncio.sleep(TICK_S)
+            self.desk.listen(self._now_ns())
             self._check_motors()
             # This loop turns and the motors' guard looks: only then is this robot-server worth keeping.
             if self.watchdog is None or self.watchdog.is_working:

@@ -6,6 +6,7 @@ from collections.abc import Hashable
 from typing import Generic, Literal, TypeVar
 
 LET_GO_NS = 500_000_000  # of silence after the last command's end: whoever was stopped by somebody else let go
+LISTENING_NS = 200_000_000  # who has looked no more often than this was not listening: a process stood still
 
 Driver = TypeVar("Driver", bound=Hashable)
 # May a command pass? "taken": another one drives. "stopped": somebody else stopped this driver, who has held on since.
@@ -24,6 +25,7 @@ class DriverLease(Generic[Driver]):
         self._free_ns = 0  # when silence has given the wheel back
         self._stopped: Driver | None = None  # who was stopped by somebody else and has not let go since
         self._is_anybody_stopped = False  # that one is gone, and may be back under another name
+        self._listened_ns: int | None = None  # when `listen` was called last
 
     def driver(self, now_ns: int) -> Driver | None:
         return self._driver if self._driver is not None and now_ns < self._free_ns else None
@@ -37,8 +39,21 @@ class DriverLease(Generic[Driver]):
         """For how long the driver keeps the wheel without another command."""
         return max(0, self._free_ns - now_ns)
 
+    def listen(self, now_ns: int) -> None:
+        """To be called often by whoever hears drivers: while that stands still there is no silence, but deafness."""
+        if self._listened_ns is not None:
+            self._heard_ns += max(0, now_ns - self._listened_ns - LISTENING_NS)
+        self._listened_ns = now_ns
+
+    def hear_holding(self, driver: Driver, now_ns: int) -> None:
+        """This driver has held on until now, by words that came too late to count, or never came."""
+        if self._is_anybody_stopped or driver == self._stopped:
+            self._heard_ns = max(self._heard_ns, now_ns)
+
     def command(self, driver: Driver, is_zero: bool, now_ns: int, hold_ns: int = 0) -> Verdict:
         """Claim the wheel by a velocity that holds for `hold_ns`."""
+        if self._listened_ns is not None:
+            self.listen(now_ns)
         is_stopped = self._is_stopped(driver, is_zero, now_ns)
         if not self.claim(driver, now_ns, hold_ns):
             return "taken"

@@ -160,6 +160,8 @@ async def _obey(socket: WebSocket, robot: RobotSession, name: str, text: str, la
                     # would let go of a joystick that is held against somebody's stop.
                     left_ms = max(1, left_ms)
                 if left_ms <= 0:
+                    if (command.linear, command.angular) != (0.0, 0.0):
+                        robot.driving.note_late(name)
                     if late.note_late(now_ms * 1_000_000):
                         await socket.send_text(too_late(command, now_ms).model_dump_json())
                     return

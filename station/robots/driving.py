@@ -154,6 +154,10 @@ class Driving:
         self._command = None if is_still else _Command(linear, angular, self._now_ns() + ttl_ms * 1_000_000)
         self._changed.set()
 
+    def note_late(self, driver: str) -> None:
+        """A velocity of this driver came too late to count: a stop by somebody else goes on holding."""
+        self._lease.hear_holding(driver, self._now_ns())
+
     def is_held_by(self, driver: str) -> bool:
         """This driver's command moves the robot now."""
         return self.is_moving and self.driver == driver
@@ -219,6 +223,7 @@ class Driving:
 
     async def _step(self) -> None:
         now_ns = self._now_ns()
+        self._lease.listen(now_ns)
         self._notify_driver()
         command = self._command
         if command is not None and now_ns >= command.until_ns:

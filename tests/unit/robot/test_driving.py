@@ -94,6 +94,45 @@ def test_a_connection_that_breaks_is_no_letting_go() -> None:
     command_desk.watchdog.close()
 
 
+def test_what_a_frozen_network_kept_is_no_letting_go() -> None:
+    """Held on for 0.7 s unheard: of what was said then some comes too late to count, or only the newest comes."""
+    for arriving in ([3, 4, 16], [16]):
+        command_desk = two_stations_one_driving()
+        command_desk.handle(2, Stop(seq=2), 9 * S + 10 * MS)
+        assert is_refused(command_desk, 1, 2, 9 * S + 50 * MS)
+        now = 9 * S + 750 * MS
+        for seq in arriving:
+            answer = command_desk.handle(1, command(seq, 9 * S + (seq - 1) * 50 * MS), now)
+        assert answer is not None and "let go of the joystick" in answer.message
+        assert command_desk.watchdog is not None
+        command_desk.watchdog.close()
+
+
+def test_a_driver_who_was_silent_beside_heartbeats_has_let_go() -> None:
+    command_desk = two_stations_one_driving()
+    command_desk.handle(2, Stop(seq=2), 9 * S + 10 * MS)
+    assert is_refused(command_desk, 1, 2, 9 * S + 50 * MS)
+    for seq in range(3, 9):
+        t = 9 * S + (seq - 2) * 100 * MS
+        command_desk.handle(1, Heartbeat(seq=seq, t_station_ns=t), t)
+    assert not is_refused(command_desk, 1, 9, 9 * S + 700 * MS)
+    assert command_desk.watchdog is not None
+    command_desk.watchdog.close()
+
+
+def test_who_comes_back_after_a_stop_was_silent_only_since() -> None:
+    command_desk = two_stations_one_driving()
+    command_desk.handle(2, Stop(seq=2), 9 * S + 10 * MS)
+    command_desk.leave(1)
+    back = 12 * S  # the connection was away for three seconds, the joystick held
+    command_desk.handle(3, Heartbeat(seq=0, t_station_ns=back), back)
+    for step in range(2, 20):
+        assert is_refused(command_desk, 3, step, back + step * 50 * MS)
+    assert not is_refused(command_desk, 3, 20, back + 2 * S)
+    assert command_desk.watchdog is not None
+    command_desk.watchdog.close()
+
+
 def known(station_ahead_ns: int = 0) -> CommandOrder:
     """An order that has heard the station's clock long enough; now is 100 ms."""
     order = CommandOrder()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from shared.lease import LET_GO_NS, DriverLease
+from shared.lease import LET_GO_NS, LISTENING_NS, DriverLease
 
 MS = 1_000_000
 LEASE_NS = 1000 * MS
@@ -91,3 +91,27 @@ def test_who_leaves_gives_the_wheel_away_and_takes_the_stop_along(lease: DriverL
     lease.stop(BEN, 0)
     assert not lease.release(BEN) and lease.release(ANNA)
     assert lease.command(BEN, False, 1) == "granted"
+
+
+@pytest.mark.parametrize("deaf_ms", [700, 60_000])
+def test_while_nobody_listens_there_is_no_silence(lease: DriverLease[int], deaf_ms: int) -> None:
+    lease.listen(0)
+    lease.command(ANNA, False, 0)
+    lease.stop(BEN, 0)
+    for now_ns in range(0, 300 * MS, 50 * MS):
+        lease.listen(now_ns)
+        assert lease.command(ANNA, False, now_ns) == "stopped"
+    back_ns = 250 * MS + deaf_ms * MS  # the process stood still; the joystick was held all the time
+    assert lease.command(ANNA, False, back_ns) == "stopped"
+    for now_ns in range(back_ns, back_ns + LET_GO_NS + LISTENING_NS, 50 * MS):
+        lease.listen(now_ns)
+    assert lease.command(ANNA, False, back_ns + LET_GO_NS + LISTENING_NS) == "granted"
+
+
+def test_who_is_known_to_have_held_on_has_not_let_go(lease: DriverLease[int]) -> None:
+    lease.command(ANNA, False, 0)
+    lease.stop(BEN, 0)
+    lease.hear_holding(ANNA, 400 * MS)
+    assert lease.command(ANNA, False, 600 * MS) == "stopped"
+    lease.hear_holding(BEN, 1000 * MS)  # another one's word says nothing of her
+    assert lease.command(ANNA, False, 600 * MS + LET_GO_NS) == "granted"
