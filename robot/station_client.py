@@ -217,6 +217,8 @@ class StationClient:
                 self.meter.send(len(data), is_frame, self._now_ns())
                 if self.datagrams is not None and not is_frame:
                     self.datagrams.path.meter.note_beside(len(data))
+                if self._writer.is_closing():  # uvloop would call a write to it a programming error
+                    raise ConnectionResetError("the station reset the connection")
                 self._writer.write(data)
                 await self._writer.drain()
 
@@ -244,7 +246,7 @@ class StationClient:
     async def _close(self) -> None:
         try:
             async with asyncio.timeout(LAST_WORD_WITHIN_S):
-                if self._last_word:
+                if self._last_word and not self._writer.is_closing():
                     self._writer.write(self._last_word)
                     await self._writer.drain()
                     if self._writer.can_write_eof():  # TLS cannot end one direction alone

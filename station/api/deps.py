@@ -8,6 +8,7 @@ from typing import Annotated, cast
 from fastapi import Depends, Header, Path
 from starlette.requests import HTTPConnection
 
+from shared.text import printable
 from station.access.visitors import Visitor
 from station.api.doorkeeper import Found
 from station.api.roles import ROLES
@@ -86,7 +87,7 @@ async def get_driver(
 ) -> str:
     """The name a caller drives under."""
     if x_driver:
-        return x_driver
+        return printable(x_driver)  # logs and other pages tell it
     return f"API client at {connection.client.host}" if connection.client else "API client"
 
 

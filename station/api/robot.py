@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from shared.errors import RobotSystemError
 from shared.messages import MAX_DRIVE_TTL_MS
+from shared.text import printable
 from station.api.deps import DriverDep, RobotDep, StationDep
 from station.api.limits import converse, receive_text
 from station.api.messages import (
@@ -129,7 +130,7 @@ async def drive_socket(socket: WebSocket, robot: RobotDep, driver: str = "") -> 
     """
     # Two nameless pages of one computer are two drivers: one at a time.
     place = f"page at {socket.client.host}" if socket.client else "page"
-    name = driver[:MAX_DRIVER_NAME] or f"{place} #{next(_connections)}"
+    name = printable(driver[:MAX_DRIVER_NAME]) or f"{place} #{next(_connections)}"
     late = LateCommands()
 
     async def obey() -> None:

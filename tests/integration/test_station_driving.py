@@ -8,11 +8,13 @@ import json
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from urllib.parse import quote
 
 import pytest
 import websockets
 
 from shared.messages import ErrorNotice
+from shared.text import is_printable
 from station.robots.session import MAX_STOP_LINES, MAX_WARNINGS
 from tests.support.link import Bench, Proxy, linked, running_robot, until
 from tests.support.station import Desk, running_station, store_map
@@ -115,6 +117,17 @@ async def test_one_driver_at_a_time_until_taken_over_or_silent(tmp_path: Path) -
         assert is_problem(await desk.http.post("/drive", json=order, headers=anna), 409)
         await until(lambda: desk.station.first.driving.driver is None)  # a second of silence
         assert (await desk.http.post("/drive", json=order, headers=anna)).status_code == 200
+
+
+async def test_a_drivers_name_forges_no_line_and_moves_no_terminal(tmp_path: Path) -> None:
+    async with at_work(tmp_path) as (desk, _, _film):
+        name = "ben\nstation: ERROR: forged\x1b[31m\x9b2J\u202e"
+        async with websockets.connect(desk.socket(f"/ws/drive?driver={quote(name)}")) as wheel:
+            await wheel.send('{"type": "take_over"}')
+            await until(lambda: desk.station.first.driving.driver is not None)
+        await desk.http.post("/drive/take-over", headers=[(b"X-Driver", b"anna\x9b2J")])
+        told = [line["text"] for line in (await desk.http.get("/log")).json() if line["topic"] == "drive"]
+        assert len(told) >= 2 and "forged" in told[0] and all(map(is_printable, told))
 
 
 async def test_the_log_tells_who_has_the_wheel_and_who_stopped_the_robot(tmp_path: Path) -> None:
