@@ -39,7 +39,7 @@ async def _find(seconds: float, preferred: Collection[str], interfaces: Sequence
     network = AsyncZeroconf(interfaces=list(interfaces) or InterfaceChoice.All)
     try:
         labels = tuple(map(service_label, preferred))
-        services = _chosen(await _listen(network.zeroconf, seconds, labels), labels)
+        services = chosen(await _listen(network.zeroconf, seconds, labels), labels)
         await asyncio.gather(*(service.async_request(network.zeroconf, LOOKUP_MS) for service in services))
         return tuple(found for service in services for found in _robots(service))
     finally:
@@ -68,9 +68,11 @@ async def _listen(network: Zeroconf, seconds: float, labels: tuple[str, ...]) ->
     return list(names)
 
 
-def _chosen(names: list[str], labels: tuple[str, ...]) -> list[AsyncServiceInfo]:
+def chosen(names: list[str], labels: tuple[str, ...]) -> list[AsyncServiceInfo]:
+    """The services that are looked up, the likeliest first."""
+    own = {f"{label}.{SERVICE_TYPE}" for label in labels}
     random.shuffle(names)
-    names.sort(key=lambda name: not name.startswith(labels))
+    names.sort(key=lambda name: (name not in own, not name.startswith(labels)))  # a longer name may be anybody's
     services = []
     for name in names[:MAX_SERVICES]:
         with contextlib.suppress(BadTypeInNameException):  # anybody may announce any name

@@ -89,10 +89,11 @@ class RobotSearch:
         ids, hosts = {robot.robot_id for robot in paired}, {robot.host for robot in paired}
         now_s = self._now_s()
 
-        def worth(robot: FoundRobot) -> tuple[bool, bool, float]:
+        def worth(robot: FoundRobot) -> tuple[bool, int, float]:
             refused_s = self._refused_s.get((robot.host, robot.port), -REFUSED_FOR_S + now_s)
             is_refused = now_s - refused_s < REFUSED_FOR_S
-            return is_refused, robot.robot_id not in ids and robot.host not in hosts, refused_s
+            unlike = (robot.robot_id not in ids) + (robot.host not in hosts)  # anybody can tell one's id
+            return is_refused, unlike, refused_s
 
         return sorted(dict.fromkeys(found), key=worth)[:MAX_TRIED]
 

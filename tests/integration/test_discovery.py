@@ -15,7 +15,7 @@ from robot.announce import Announcement, announced_addresses
 from shared.access import Role
 from shared.discovery import SERVICE_TYPE
 from station.access.paired_robots import PairedRobots
-from station.robots.discovery import MAX_SERVICES, find_robots
+from station.robots.discovery import MAX_SERVICES, chosen, find_robots
 from station.robots.link import RobotLink
 from station.robots.search import FoundRobot
 from tests.support.access import guarded_robot
@@ -50,6 +50,14 @@ def test_a_robot_that_starts_before_its_network_is_announced_when_it_has_an_addr
         assert_found(port)
     finally:
         announcement.close()
+
+
+def test_a_robots_own_name_is_looked_up_before_longer_ones_that_begin_with_it() -> None:
+    own = f"robot.{SERVICE_TYPE}"
+    others = [f"robot {n}.{SERVICE_TYPE}" for n in range(10 * MAX_SERVICES)]
+    for _ in range(5):
+        services = chosen([*others, own, f"anna.{SERVICE_TYPE}"], ("robot",))
+        assert services[0].name == own and len(services) == MAX_SERVICES
 
 
 def test_who_answers_with_many_names_does_not_hide_a_robot_that_was_paired() -> None:

@@ -44,6 +44,12 @@ async def test_what_looks_like_a_paired_robot_comes_first_by_its_id_or_its_addre
     assert network.asked_for == [["sentinel"]]
 
 
+async def test_a_paired_robot_where_it_was_comes_before_all_who_use_its_id(paired: PairedRobots) -> None:
+    at_home = FoundRobot("sentinel", "192.168.1.77", 7400)
+    liars = [FoundRobot("sentinel", stranger.host, 7400) for stranger in STRANGERS]
+    assert await RobotSearch(paired, Network([*liars, at_home]).find).next() == at_home
+
+
 async def test_each_address_is_tried_before_anybody_is_looked_for_again() -> None:
     network = Network(STRANGERS[:3])
     search = RobotSearch(None, network.find)
