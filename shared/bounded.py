@@ -114,7 +114,9 @@ class Unpacking:
 
 
 # Of a dotted key, at its beginning: tomllib notes for each part all those before it, which of 16,000 fills a gigabyte.
-_LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++\s*+\.\s*+){{{MAX_KEY_PARTS}}}""")
+_LONG_KEY = re.compile(
+    rf"""(?<![\w"'\\-])(?:(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')\s*+\.\s*+){{{MAX_KEY_PARTS}}}"""
+)
 
 
 def parse_json(text: str | bytes) -> Any:

@@ -121,6 +121,9 @@ def test_nesting_without_end_is_a_value_error(parse: Callable[[str], object]) ->
         ".".join(["a"] * 16_000) + " = 1",
         f"[{'a . ' * 16_000}a]",
         '"a".' * 16_000 + "a = 1",
+        '"a b".' * 16_000 + "a = 1",
+        '"\\"".' * 16_000 + "a = 1",
+        "'!'." * 16_000 + "a = 1",
         "x = {" + "a." * 99 + "a = 1}",
     ],
 )
