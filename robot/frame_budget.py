@@ -74,7 +74,7 @@ def budget(
     even_bytes, least_bytes = (min(own_bytes, sizes.size(own_bytes, q)) for q in (EVEN_QUALITY, LEAST_QUALITY))
 
     def bytes_of(interval_ns: float) -> float:
-        is_quicker = interval_ns < before.interval_ns
+        is_quicker = interval_ns < before.interval_ns - period_ns // 2  # the camera's beat itself swings
         return min(rate * interval_ns * 1e-9 / (SPARE if is_quicker else 1.0), most_bytes)
 
     even_ns = max(1, math.floor(1.05e9 / EVEN_RATE_HZ / period_ns)) * period_ns

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot.devices.ports import CapturedFrame
-from robot.frame_budget import LEAST_QUALITY, SIZE_AT, UNLIMITED, SizeModel, budget
+from robot.frame_budget import LEAST_QUALITY, SIZE_AT, UNLIMITED, FrameBudget, SizeModel, budget
 from robot.link_meter import LinkEstimate, LinkMeter
 from robot.video import HERE_IN_FLIGHT, MAX_WAIT_NS, FrameSlot, Picture, VideoStream
 from shared.messages import MAX_FRAMES_IN_FLIGHT
@@ -309,6 +309,16 @@ def test_every_link_has_a_budget(mbit_s: float, trip_ms: int, other: float, own:
     estimate = LinkEstimate(mbit_s * 125_000, trip_ms * MS, other)
     found = budget(estimate, own, SizeModel(), period_ms * MS, UNLIMITED)
     assert found.num_bytes > 0 and found.interval_ns >= 0
+
+
+@pytest.mark.parametrize(("mbit_s", "camera_hz"), [(0.5, 30), (3.0, 60)])
+def test_a_beat_that_swings_does_not_change_the_budget(mbit_s: float, camera_hz: int) -> None:
+    """The same links, and a camera's period that is measured anew with each picture."""
+    estimate, period_ns = LinkEstimate(mbit_s * 125_000, 20 * MS, 0.0), round(S / camera_hz)
+    settled = budget(estimate, 20_000, SizeModel(), period_ns, UNLIMITED)
+    assert settled.interval_ns > 0
+    before = FrameBudget(settled.num_bytes, settled.interval_ns + 1000)
+    assert budget(estimate, 20_000, SizeModel(), period_ns, before) == settled
 
 
 def test_the_size_of_a_picture_at_a_quality_is_learned() -> None:
