@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from robot.devices.ports import CapturedDepth
 from robot.link_meter import LinkMeter
+from robot.video import MAX_WAIT_NS, THIN_BYTES_PER_S
 from shared.messages import Depth
 
 # A robot at 0.4 m/s has moved 10 cm since the last one: what is nearer together shows the same again.
@@ -35,7 +36,7 @@ class DepthStream:
 
     @property
     def is_at_end(self) -> bool:
-        """Whether the newest one was sent."""
+        """Whether the newest one was sent or passed over."""
         return self._sent == self._slot.count
 
     def next_depth(self, now_ns: int) -> Depth | None:
@@ -44,10 +45,15 @@ class DepthStream:
         if newest is None or self.is_at_end or now_ns < self._due_ns or not self._meter.has_room(now_ns):
             return None
         interval_ns = LEAST_INTERVAL_NS
-        if not self._is_on_this_machine:
-            if estimate is None:
+        if estimate is None and not self._is_on_this_machine:
+            return None
+        # Little carried on this machine is a relay to a network.
+        if estimate is not None and not (self._is_on_this_machine and estimate.bytes_per_s > THIN_BYTES_PER_S):
+            service_ns = 1e9 * len(newest.png) / estimate.bytes_per_s
+            if service_ns > MAX_WAIT_NS:  # what waits behind it would be too old to be sent
+                self._sent = self._slot.count
                 return None
-            interval_ns = max(interval_ns, round(1e9 * len(newest.png) / (SHARE * estimate.bytes_per_s)))
+            interval_ns = max(interval_ns, round(service_ns / SHARE))
         self._due_ns = now_ns + interval_ns
         self._sent = self._slot.count
         return Depth(seq=self._slot.count - 1, t_robot_ns=newest.t_robot_ns, png=newest.png)

@@ -44,14 +44,24 @@ def test_beyond_it_nothing_goes_until_the_link_is_known() -> None:
     assert not stream.is_at_end
 
 
-@pytest.mark.parametrize(("bytes_per_s", "size"), [(1e6, 200_000), (1e6, 1000), (2e5, 300_000)])
-def test_depth_takes_a_quarter_of_what_the_link_carries(bytes_per_s: float, size: int) -> None:
+@pytest.mark.parametrize(("bytes_per_s", "size"), [(1e6, 200_000), (1e6, 1000), (2e5, 40_000)])
+@pytest.mark.parametrize("is_relayed", [False, True])
+def test_depth_takes_a_quarter_of_what_the_link_carries(bytes_per_s: float, size: int, is_relayed: bool) -> None:
     slot, meter = DepthSlot(), LinkMeter()
     meter.estimate = LinkEstimate(bytes_per_s=bytes_per_s, trip_ns=10 * MS, other_bytes_per_s=0.0)
-    times = sent(slot, DepthStream(slot, meter, is_on_this_machine=False), 20.0, size)
+    times = sent(slot, DepthStream(slot, meter, is_on_this_machine=is_relayed), 20.0, size)
     assert len(times) > 3
     assert len(times) * size <= SHARE * bytes_per_s * 20.0 + size
     assert min(np.diff(times)) >= LEAST_INTERVAL_NS
+
+
+def test_no_depth_goes_behind_which_pictures_would_be_too_old() -> None:
+    slot, meter = DepthSlot(), LinkMeter()
+    meter.estimate = LinkEstimate(bytes_per_s=2e5, trip_ns=10 * MS, other_bytes_per_s=0.0)
+    stream = DepthStream(slot, meter, is_on_this_machine=False)
+    assert sent(slot, stream, 5.0, 300_000) == []
+    assert stream.is_at_end
+    assert sent(slot, stream, 5.0, 1000) != []
 
 
 PINHOLE = msgspec.structs.replace(REFERENCE_CAMERA, distortion=(0.0,) * 4)
