@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from shared.errors import ConfigError
+from shared.errors import ConfigError, DataError
 from station.config import AUTO, can_filter, choose_backend
 from station.datasets import Dataset
 from station.maps.record import map_content_hash
@@ -29,6 +30,8 @@ from station.workers.place_interface import PlaceEvent
 from station.workers.places import PlaceFinder
 from station.workers.repeatable import repeatable
 from station.workers.slam import NavigationSlam
+
+logger = logging.getLogger(__name__)
 
 STAMP_ROUNDING_NS = 1_000_000  # stamps of a constant rate jitter by less: as many pictures a second as asked for
 MIN_FILM_HZ = 5.0  # slower pictures are no film: the filter's corners are followed from one to the next
@@ -139,7 +142,10 @@ def run_slam(data: Dataset, options: ReplayOptions, pace: Pace, say: Say) -> tup
         elif isinstance(event, DriveSample):
             slam.add_drive(event)
         elif isinstance(event, DepthFrame):
-            slam.add_depth(event)
+            try:
+                slam.add_depth(event)
+            except DataError as exc:  # as the worker of a running robot goes on without it
+                logger.warning("%s; it is left out", exc)
         else:
             slam.add_frame(event)
     return slam, updates

@@ -2,6 +2,7 @@
 
 import contextlib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +11,11 @@ from hypothesis import strategies as st
 
 from shared.calibration import Calibration, DepthCalibration
 from shared.errors import DataError
+from station.datasets import Dataset
 from station.model.frames import DepthFrame, DriveSample, ImageFrame
 from station.slam.mapping.depth import MAX_SCANS, MAX_SIDE, DepthLog, scale_from_depth, step_of, with_depth
 from station.slam.run import content_digest, run_backend
+from station.workers.replay import ReplayOptions, run_slam
 from station.workers.slam import NavigationSlam
 from tests.support.depth import CAMERA, STEP_NS, Made, depth_camera, encoded, frames, map_of, way
 
@@ -141,6 +144,24 @@ def test_the_worker_of_a_running_robot_does_the_same() -> None:
     made = slam.complete("kitchen")
     assert made.is_metric and made.depth is not None and len(made.depth) == 20
     assert made.report.config["depth"]["scale"] == pytest.approx(0.5, rel=0.02)
+
+
+def test_a_replay_goes_on_without_a_damaged_depth_picture(caplog: pytest.LogCaptureFixture) -> None:
+    first, *others = frames(depth_camera(), way())
+    images = [ImageFrame(k, k * STEP_NS, 0, b"") for k in range(40)]
+    data = Dataset(
+        path=Path("kitchen"),
+        kind="images",
+        calibration=Calibration(camera=CAMERA, imu=None),
+        intrinsics_known=True,
+        frame_times_ns=np.array([image.t_robot_ns for image in images]),
+        read_frames=lambda: iter(images),
+        read_depth=lambda: iter([replace(first, encoded=b"no picture"), *others]),
+    )
+    slam, _ = run_slam(data, ReplayOptions("tests.support.depth:half_sized_room"), lambda _: None, lambda _: None)
+    made = slam.complete("kitchen")
+    assert made.depth is not None and len(made.depth) == len(others)
+    assert [r.message.endswith("; it is left out") for r in caplog.records] == [True]
 
 
 def test_a_log_is_bounded_and_spans_all_of_the_way() -> None:
