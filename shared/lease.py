@@ -42,7 +42,8 @@ class DriverLease(Generic[Driver]):
     def listen(self, now_ns: int) -> None:
         """To be called often by whoever hears drivers: while that stands still there is no silence, but deafness."""
         if self._listened_ns is not None:
-            self._heard_ns += max(0, now_ns - self._listened_ns - LISTENING_NS)
+            deaf_ns = max(0, now_ns - self._listened_ns - LISTENING_NS)
+            self._heard_ns = max(self._heard_ns, min(self._heard_ns + deaf_ns, now_ns))  # a word may have come since
         self._listened_ns = now_ns
 
     def hear_holding(self, driver: Driver, now_ns: int) -> None:

@@ -115,3 +115,14 @@ def test_who_is_known_to_have_held_on_has_not_let_go(lease: DriverLease[int]) ->
     assert lease.command(ANNA, False, 600 * MS) == "stopped"
     lease.hear_holding(BEN, 1000 * MS)  # another one's word says nothing of her
     assert lease.command(ANNA, False, 600 * MS + LET_GO_NS) == "granted"
+
+
+def test_a_word_heard_after_a_standstill_is_not_taken_for_one_of_later(lease: DriverLease[int]) -> None:
+    lease.listen(0)
+    lease.command(ANNA, False, 0)
+    lease.stop(BEN, 0)
+    back_ns = 60_000 * MS
+    lease.hear_holding(ANNA, back_ns)  # before anybody has noticed that the process stood still
+    for now_ns in range(back_ns, back_ns + LET_GO_NS, 50 * MS):
+        lease.listen(now_ns)
+    assert lease.command(ANNA, False, back_ns + LET_GO_NS) == "granted"
