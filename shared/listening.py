@@ -7,6 +7,10 @@ import socket
 
 from shared.errors import ConfigError
 
+# Connections that wait to be taken. Where there is no room for one more, its caller hears nothing and tries again after
+# a second, STOP as well: as many as strangers open at once must fit. The kernel keeps some 300 bytes of each.
+BACKLOG = 1024
+
 
 def bind(host: str, port: int) -> socket.socket:
     """A listening, non-blocking socket; port 0 takes a free one.
@@ -22,7 +26,7 @@ def bind(host: str, port: int) -> socket.socket:
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(address)
-        listener.listen(128)
+        listener.listen(BACKLOG)
     except OSError as exc:
         listener.close()
         raise ConfigError(
