@@ -55,6 +55,14 @@ def is_refused(command_desk: CommandDesk, station: int, seq: int, t_ns: int) -> 
     return answer is not None
 
 
+def one_stopped_who_holds_on() -> CommandDesk:
+    """Station 2 says stop at 9.01 s; 1, who drives, has not let go."""
+    command_desk = two_stations_one_driving()
+    command_desk.handle(2, Stop(seq=2), 9 * S + 10 * MS)
+    assert is_refused(command_desk, 1, 2, 9 * S + 50 * MS)
+    return command_desk
+
+
 def test_a_stop_that_a_driving_station_sends_by_itself_lifts_no_other_stop() -> None:
     command_desk = two_stations_one_driving()
     command_desk.handle(2, Stop(seq=2), 9 * S + 10 * MS)
@@ -67,9 +75,7 @@ def test_a_stop_that_a_driving_station_sends_by_itself_lifts_no_other_stop() -> 
 
 
 def test_who_was_stopped_before_stops_the_next_driver_as_well() -> None:
-    command_desk = two_stations_one_driving()
-    command_desk.handle(2, Stop(seq=2), 9 * S + 10 * MS)
-    assert is_refused(command_desk, 1, 2, 9 * S + 50 * MS)
+    command_desk = one_stopped_who_holds_on()
     later = 11 * S  # station 1 has fallen silent, 2 drives
     assert not is_refused(command_desk, 2, 3, later)
     command_desk.handle(1, Stop(seq=3), later + 10 * MS)
@@ -79,9 +85,7 @@ def test_who_was_stopped_before_stops_the_next_driver_as_well() -> None:
 
 
 def test_a_connection_that_breaks_is_no_letting_go() -> None:
-    command_desk = two_stations_one_driving()
-    command_desk.handle(2, Stop(seq=2), 9 * S + 10 * MS)
-    assert is_refused(command_desk, 1, 2, 9 * S + 50 * MS)
+    command_desk = one_stopped_who_holds_on()
     command_desk.leave(1)
     back = 9 * S + 60 * MS  # under another number, the joystick still held
     command_desk.handle(3, Heartbeat(seq=0, t_station_ns=back), back)
@@ -97,9 +101,7 @@ def test_a_connection_that_breaks_is_no_letting_go() -> None:
 def test_what_a_frozen_network_kept_is_no_letting_go() -> None:
     """Held on for 0.7 s unheard: of what was said then some comes too late to count, or only the newest comes."""
     for arriving in ([3, 4, 16], [16]):
-        command_desk = two_stations_one_driving()
-        command_desk.handle(2, Stop(seq=2), 9 * S + 10 * MS)
-        assert is_refused(command_desk, 1, 2, 9 * S + 50 * MS)
+        command_desk = one_stopped_who_holds_on()
         now = 9 * S + 750 * MS
         for seq in arriving:
             answer = command_desk.handle(1, command(seq, 9 * S + (seq - 1) * 50 * MS), now)
@@ -109,9 +111,7 @@ def test_what_a_frozen_network_kept_is_no_letting_go() -> None:
 
 
 def test_a_driver_who_was_silent_beside_heartbeats_has_let_go() -> None:
-    command_desk = two_stations_one_driving()
-    command_desk.handle(2, Stop(seq=2), 9 * S + 10 * MS)
-    assert is_refused(command_desk, 1, 2, 9 * S + 50 * MS)
+    command_desk = one_stopped_who_holds_on()
     for seq in range(3, 9):
         t = 9 * S + (seq - 2) * 100 * MS
         command_desk.handle(1, Heartbeat(seq=seq, t_station_ns=t), t)
