@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pytest
 
 from robot.commands import CommandDesk, CommandOrder
@@ -15,6 +17,19 @@ from tests.support.motors import FakeMotors
 
 MS = 1_000_000
 S = 1_000_000_000
+guards: list[MotorWatchdog] = []  # of the running test
+
+
+def close_guards() -> None:
+    """After it nothing reaches the motors any more."""
+    while guards:
+        guards.pop().close()
+
+
+@pytest.fixture(autouse=True)
+def _closed() -> Iterator[None]:
+    yield
+    close_guards()
 
 
 def command(seq: int, t_station_ns: int, ttl_ms: int = 200) -> Drive:
@@ -31,12 +46,11 @@ def test_the_first_to_command_drives_and_others_hear_why_they_do_not() -> None:
     assert command_desk.handle(2, Stop(seq=2), 9 * S + 2) is None  # anybody may
     refused = command_desk.handle(1, command(2, 9 * S + 50 * MS), 9 * S + 50 * MS)
     assert refused is not None and refused.code == "not_driver" and "let go of the joystick" in refused.message
-    assert command_desk.watchdog is not None and command_desk.refused == 2
+    assert command_desk.refused == 2
     command_desk.leave(1)
     resting_ns = 9 * S + 50 * MS + LET_GO_NS  # whoever comes may be the one that was stopped, under another number
     assert command_desk.handle(2, command(3, 9 * S + 60 * MS), 9 * S + 60 * MS) is not None
     assert command_desk.handle(2, command(4, resting_ns + 70 * MS), resting_ns + 70 * MS) is None
-    command_desk.watchdog.close()
 
 
 def two_stations_one_driving() -> CommandDesk:
@@ -70,8 +84,6 @@ def test_a_stop_that_a_driving_station_sends_by_itself_lifts_no_other_stop() -> 
         t = 9 * S + 10 * MS + step * 50 * MS
         assert is_refused(command_desk, 1, 2 * step, t)
         command_desk.handle(1, Stop(seq=2 * step + 1), t + 10 * MS)
-    assert command_desk.watchdog is not None
-    command_desk.watchdog.close()
 
 
 def test_who_was_stopped_before_stops_the_next_driver_as_well() -> None:
@@ -80,8 +92,6 @@ def test_who_was_stopped_before_stops_the_next_driver_as_well() -> None:
     assert not is_refused(command_desk, 2, 3, later)
     command_desk.handle(1, Stop(seq=3), later + 10 * MS)
     assert is_refused(command_desk, 2, 4, later + 50 * MS)
-    assert command_desk.watchdog is not None
-    command_desk.watchdog.close()
 
 
 def test_a_connection_that_breaks_is_no_letting_go() -> None:
@@ -94,8 +104,6 @@ def test_a_connection_that_breaks_is_no_letting_go() -> None:
     zero = Drive(seq=99, t_station_ns=back + 3 * S, linear=0.0, angular=0.0, ttl_ms=200)
     assert command_desk.handle(3, zero, back + 3 * S) is None
     assert not is_refused(command_desk, 3, 100, back + 3 * S + 50 * MS)
-    assert command_desk.watchdog is not None
-    command_desk.watchdog.close()
 
 
 def test_what_a_frozen_network_kept_is_no_letting_go() -> None:
@@ -106,8 +114,6 @@ def test_what_a_frozen_network_kept_is_no_letting_go() -> None:
         for seq in arriving:
             answer = command_desk.handle(1, command(seq, 9 * S + (seq - 1) * 50 * MS), now)
         assert answer is not None and "let go of the joystick" in answer.message
-        assert command_desk.watchdog is not None
-        command_desk.watchdog.close()
 
 
 def test_a_driver_who_was_silent_beside_heartbeats_has_let_go() -> None:
@@ -116,8 +122,6 @@ def test_a_driver_who_was_silent_beside_heartbeats_has_let_go() -> None:
         t = 9 * S + (seq - 2) * 100 * MS
         command_desk.handle(1, Heartbeat(seq=seq, t_station_ns=t), t)
     assert not is_refused(command_desk, 1, 9, 9 * S + 700 * MS)
-    assert command_desk.watchdog is not None
-    command_desk.watchdog.close()
 
 
 def test_who_comes_back_after_a_stop_was_silent_only_since() -> None:
@@ -129,8 +133,6 @@ def test_who_comes_back_after_a_stop_was_silent_only_since() -> None:
     for step in range(2, 20):
         assert is_refused(command_desk, 3, step, back + step * 50 * MS)
     assert not is_refused(command_desk, 3, 20, back + 2 * S)
-    assert command_desk.watchdog is not None
-    command_desk.watchdog.close()
 
 
 def known(station_ahead_ns: int = 0) -> CommandOrder:
@@ -249,7 +251,8 @@ def desk(now_ns: int) -> tuple[CommandDesk, FakeMotors]:
     """A desk whose motors' clock stands at `now_ns`; station 1 has been heard long enough."""
     motors = FakeMotors()
     devices = DeviceSet(calibration=REFERENCE_ROBOT, camera=None, imu=None, motors=motors)
-    command_desk = CommandDesk(devices, MotorWatchdog(motors, now_ns=lambda: now_ns), DriveConfig())
+    guards.append(MotorWatchdog(motors, now_ns=lambda: now_ns))
+    command_desk = CommandDesk(devices, guards[-1], DriveConfig())
     for t in (8 * S, 9 * S):
         command_desk.handle(1, Heartbeat(seq=0, t_station_ns=t), t)
     return command_desk, motors
@@ -257,21 +260,18 @@ def desk(now_ns: int) -> tuple[CommandDesk, FakeMotors]:
 
 def test_letting_go_counts_however_late_it_is_read() -> None:
     command_desk, motors = desk(9 * S)
-    assert command_desk.watchdog is not None
     command_desk.handle(1, Drive(seq=1, t_station_ns=9 * S, linear=0.1, angular=0.0, ttl_ms=250), 9 * S)
     assert motors.wait_for_last(0.1, 0.0)
     late = Drive(seq=2, t_station_ns=8 * S, linear=0.0, angular=0.0, ttl_ms=100)
     command_desk.handle(1, late, 9 * S)
     assert motors.wait_for_last(0.0, 0.0)
-    command_desk.watchdog.close()
 
 
 def test_a_command_read_before_and_carried_out_after_a_standstill_moves_nothing() -> None:
     """SIGSTOP between reading and the motors: the clock has gone on when the command is carried out."""
     command_desk, motors = desk(11 * S)
-    assert command_desk.watchdog is not None
     command_desk.handle(1, Drive(seq=1, t_station_ns=9 * S, linear=0.1, angular=0.0, ttl_ms=250), 9 * S)
-    command_desk.watchdog.close()
+    close_guards()
     assert (0.1, 0.0) not in motors.history
 
 
@@ -279,8 +279,7 @@ def test_a_command_read_before_and_carried_out_after_a_standstill_moves_nothing(
 def test_a_command_starts_motors_only_in_the_first_half_of_its_life(late_ms: int, starts: bool) -> None:
     """The driver fell silent; what it had said last comes when the motors rest, and is not over yet."""
     command_desk, motors = desk(9 * S + late_ms * MS)
-    assert command_desk.watchdog is not None
     command_desk.handle(1, command(1, 9 * S), 9 * S + late_ms * MS)
     assert not starts or motors.wait_for_last(0.1, 0.0)
-    command_desk.watchdog.close()
+    close_guards()
     assert ((0.1, 0.0) in motors.history) is starts
