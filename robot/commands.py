@@ -31,7 +31,9 @@ logger = logging.getLogger(__name__)
 LEASE_NS = 1_000_000_000  # who has not commanded for so long gives the wheel away
 SETTLING_NS = 50_000_000  # a held-up burst is read at once; what comes so much later shows how late the burst was
 PAUSE_NS = 20_000_000  # a line through the quickest arrivals is not that wrong; a clock that stood still is
-STARTING_SHARE = 0.5  # of its life that a command must have left to start motors: no command in a silence has so much
+# Of its life that a command must have left to start motors. One that was said within half a life of another has less
+# when that other one is over, so the last words of a driver who falls silent start nothing.
+STARTING_SHARE = 0.5
 MAX_AHEAD = 1024  # commands by datagram that the connection has not brought yet: it is dead long before
 About = Literal["hijack", "calibration"] | msgspec.UnsetType  # which question a notice answers
 
@@ -123,8 +125,8 @@ class CommandOrder:
         until_ns = min(fit.to_local_ns(command.t_station_ns), arrived_ns) + command.ttl_ms * 1_000_000
         return until_ns if until_ns > arrived_ns else None
 
-    def follows(self, seq: int) -> bool:
-        """Whether nothing was said between this number and the newest so far; counts it."""
+    def count(self, seq: int) -> bool:
+        """Count a number that was heard. False where something was said between it and the newest before."""
         is_next = self._heard_seq < 0 or seq <= self._heard_seq + 1
         self._heard_seq = max(self._heard_seq, seq)
         return is_next
@@ -190,7 +192,7 @@ class CommandDesk:
         order = self._order(client, now_ns)
         match message:
             case Heartbeat():
-                order.follows(message.seq)
+                order.count(message.seq)
                 order.observe(message.t_station_ns, now_ns)
                 return None
             case Drive():
@@ -244,11 +246,11 @@ class CommandDesk:
             return self._refuse("not_capable", "this robot has no motors")
         wish = Velocity(message.linear, message.angular)
         is_first = order.is_first(message.seq, is_datagram=is_datagram)
-        follows = order.follows(message.seq)
+        is_next = order.count(message.seq)
         until_ns = order.until_ns(message, now_ns, is_datagram=is_datagram)
         if not is_first:
             return None
-        if not wish.is_zero and (until_ns is None or not follows):
+        if not wish.is_zero and (until_ns is None or not is_next):
             self.lease.hear_holding(client, now_ns)  # a network that froze is no driver who let go
         if until_ns is None:
             if wish.is_zero and self.lease.last_driver == client:
@@ -280,7 +282,7 @@ class CommandDesk:
         return None
 
     def _stop(self, client: int, order: CommandOrder, message: Stop, now_ns: int) -> ErrorNotice | None:
-        order.follows(message.seq)
+        order.count(message.seq)
         order.is_newest(message.seq)  # commands sent before it are old now
         if client != self.lease.driver(now_ns):  # a station stops by itself, too: its own stop is no letting go
             self.lease.stop(None, now_ns)
