@@ -196,3 +196,30 @@ def test_on_a_late_network_no_repetition_lets_the_robot_move_longer_than_the_dri
     said_ns = sent[0].t_station_ns - age_ms * MS
     assert len(sent) > 1
     assert max(ends_ns) <= said_ns + (MAX_DRIVE_TTL_MS + 1) * MS  # rounded up to whole milliseconds
+
+
+async def test_a_stop_holds_through_a_standstill_of_the_station() -> None:
+    """Its loop stood still for 0.8 s while the joystick was held; what was said then is read at once."""
+    link, clock = Link(), [0]
+    desk = driving(link, clock)
+    timer = asyncio.create_task(desk.run())
+    await asyncio.sleep(0.01)  # it has looked once
+    desk.drive("anna", 0.1, 0.0, 200)
+    desk.stop("ben")
+    clock[0] = 800 * MS
+    with pytest.raises(Conflict, match="let go"):
+        desk.drive("anna", 0.1, 0.0, 200)
+    timer.cancel()
+    await asyncio.gather(timer, return_exceptions=True)
+
+
+def test_a_stop_holds_while_commands_come_too_late() -> None:
+    clock = [0]
+    desk = driving(Link(), clock)
+    desk.drive("anna", 0.1, 0.0, 200)
+    desk.stop("ben")
+    clock[0] = 600 * MS
+    desk.note_late("anna")
+    clock[0] = 800 * MS
+    with pytest.raises(Conflict, match="let go"):
+        desk.drive("anna", 0.1, 0.0, 200)
