@@ -43,7 +43,6 @@ class Connection:
         self.caller = caller
         self._known = known
         self._among = among
-        among.add(self)
         self._transport: asyncio.Transport | None = None
         self._is_serving = False
         self._head_bytes = 0
@@ -51,6 +50,8 @@ class Connection:
         self._untaken = 0  # bytes of answers that the peer has not taken yet
 
     def made(self, transport: asyncio.Transport) -> None:
+        """The handshake is done. Of one that fails nobody hears again, so it is not among the others before."""
+        self._among.add(self)
         self._transport = transport
         self.caller.made(transport)
 
@@ -80,8 +81,7 @@ class Connection:
 
     def look(self, now_s: float) -> None:
         """End it when its phase takes too long."""
-        if self._transport is None:
-            return
+        assert self._transport is not None
         untaken = self._transport.get_write_buffer_size()
         if untaken != self._untaken or (self._is_serving and not untaken):
             self._untaken, self._since_s = untaken, now_s

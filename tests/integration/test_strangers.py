@@ -4,6 +4,7 @@ out by who has no token."""
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 import logging
 import ssl
@@ -15,10 +16,12 @@ import pytest
 import websockets
 from typer.testing import CliRunner
 
+from shared import reception
 from shared.access import Role
+from shared.reception import Caller
 from station.access.visitors import access_folder
 from station.api import connections, limits
-from station.api.connections import MAX_STRANGERS
+from station.api.connections import MAX_STRANGERS, Connection
 from station.main import app as station_app
 from tests.support.access import Guarded, guarded_station
 from tests.support.link import WAIT_S, until
@@ -26,13 +29,17 @@ from tests.support.programs import program, said
 from tests.support.station import Desk, running_station
 
 FLOOD = 3 * MAX_STRANGERS
+BEGIN_OF_TLS = b"\x16\x03\x01"
 Streams = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 
-async def flood(desk: Desk) -> list[Streams]:
-    """Connections that say nothing."""
+async def flood(desk: Desk, words: bytes) -> list[Streams]:
+    """Connections that say this and no more."""
     address = urlsplit(desk.address)
-    return [await asyncio.open_connection(address.hostname, address.port) for _ in range(FLOOD)]
+    made = [await asyncio.open_connection(address.hostname, address.port) for _ in range(FLOOD)]
+    for _, writer in made:
+        writer.write(words)
+    return made
 
 
 async def ended(connections: list[Streams], at_least: int) -> None:
@@ -76,7 +83,7 @@ def leave(connections: list[Streams]) -> None:
 
 async def test_handshakes_that_are_never_finished_keep_nobody_out(tmp_path: Path) -> None:
     async with guarded_station(tmp_path) as station:
-        stuck = await flood(station.desk)
+        stuck = await flood(station.desk, BEGIN_OF_TLS)
         try:
             await ended(stuck, FLOOD - MAX_STRANGERS)
             answer = await station.desk.http.get("/healthz", headers=station.headers(Role.WATCH))
@@ -87,10 +94,29 @@ async def test_handshakes_that_are_never_finished_keep_nobody_out(tmp_path: Path
             leave(stuck)
 
 
-async def test_silent_connections_yield_to_others_and_those_in_use_stay(tmp_path: Path) -> None:
+async def test_silent_connections_keep_nobody_out(tmp_path: Path) -> None:
+    async with guarded_station(tmp_path) as station:
+        stuck = await flood(station.desk, b"")
+        try:
+            answer = await station.desk.http.get("/healthz", headers=station.headers(Role.WATCH))
+            assert answer.status_code == 200
+        finally:
+            leave(stuck)
+
+
+async def test_of_handshakes_that_fail_nothing_is_kept(tmp_path: Path) -> None:
+    async with guarded_station(tmp_path) as station:
+        stuck = await flood(station.desk, b"no TLS begins so")
+        await ended(stuck, FLOOD)
+        leave(stuck)
+        gc.collect()
+        assert not [kept for kept in gc.get_objects() if isinstance(kept, Connection | Caller)]
+
+
+async def test_connections_without_a_request_yield_to_others_and_those_in_use_stay(tmp_path: Path) -> None:
     async with running_station(1, tmp_path) as desk, websockets.connect(desk.socket("/ws/events")) as socket:
         assert await socket.recv()
-        stuck = await flood(desk)
+        stuck = await flood(desk, b"GET")
         try:
             await ended(stuck, FLOOD - MAX_STRANGERS)
             assert (await desk.http.get("/healthz")).status_code == 200
@@ -103,6 +129,7 @@ async def test_a_connection_that_asks_for_nothing_is_ended_in_time_and_one_that_
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(connections, "HEAD_WITHIN_S", 0.5)
+    monkeypatch.setattr(reception, "SILENT_S", 1)
     async with running_station(1, tmp_path) as desk:
         address = urlsplit(desk.address)
         reader, writer = await asyncio.open_connection(address.hostname, address.port)
