@@ -27,6 +27,7 @@ from shared.advice import install
 from shared.ending import ending_signals
 from shared.errors import ConfigError, DeviceUnavailable
 from shared.listening import bind
+from shared.long_lived import keep_for_good
 
 logger = logging.getLogger(__name__)
 
@@ -61,6 +62,7 @@ def run(kind: DeviceKind, config: RobotConfig) -> None:
         if gate is not None and gate.is_unpaired:
             code = gate.desk.first_code(gate.now_s())
             print(f"robot-server: no station is paired yet; {pairing_sentence(code, host, port)}", flush=True)
+        keep_for_good()
         try:
             with asyncio.Runner(loop_factory=_loop_factory()) as runner:
                 runner.run(serve_until_signal(server, listener))

@@ -13,6 +13,7 @@ import typer
 
 from shared.certificates import show_fingerprint
 from shared.listening import bind
+from shared.long_lived import keep_for_good
 from shared.repetition import start_logging
 from station.commands.options import overridden
 from station.config import (
@@ -86,6 +87,7 @@ def serve(
         address = f"{scheme}://{f'[{name}]' if ':' in name else name}:{number}"
 
         def started() -> None:
+            keep_for_good()
             print(f"station: page and API at {address}", flush=True)
             if identity is not None:
                 shown = show_fingerprint(identity.fingerprint)

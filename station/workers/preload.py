@@ -7,9 +7,9 @@ them (tests/unit/station/workers/test_preload.py looks).
 from __future__ import annotations
 
 import contextlib
-import gc
 import importlib
 
+from shared.long_lived import keep_for_good
 from station.workers.calibration_interface import WATCHER
 from station.workers.library_interface import LIBRARY
 from station.workers.place_interface import PLACES
@@ -28,5 +28,4 @@ MAIN = ("shared.command_line",)  # and with it Typer: multiprocessing imports st
 for _name in (*PROGRAMS, *BACKENDS, *MAIN):
     with contextlib.suppress(ImportError):  # who needs it says what is missing
         importlib.import_module(_name)
-gc.collect()
-gc.freeze()  # a collection in a child would write to, and so copy, pages that all children share
+keep_for_good()
