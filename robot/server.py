@@ -124,12 +124,14 @@ class RobotServer:
         try:
             async with asyncio.TaskGroup() as tasks:
                 self.recalibration.tasks = tasks
+                tls = self._doorstep.tls()
                 reception = Reception(
                     listener,
-                    self._doorstep.tls(),
+                    tls,
                     self._config.server.max_waiting,
                     STRANGER_WITHIN_S,
                     lambda caller: _Streams(caller, lambda *streams: self._take_in(tasks, caller, *streams)),
+                    callers_speak_first=bool(tls),  # without it the robot does
                 )
                 self._datagrams.open(listener)
                 receiving = tasks.create_task(reception.run())

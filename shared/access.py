@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import binascii
+import functools
 import hashlib
 import hmac
 import ipaddress
@@ -133,6 +134,7 @@ class GuessLimit:
             del self._wrong[next(iter(self._wrong))]
 
 
+@functools.lru_cache(maxsize=1024)
 def network_of(address: str) -> str:
     """Whom an address is counted as.
 

@@ -9,7 +9,7 @@ from shared.errors import ConfigError
 
 # Connections that wait to be taken. Where there is no room for one more, its caller hears nothing and tries again after
 # a second, STOP as well: as many as strangers open at once must fit. The kernel keeps some 300 bytes of each.
-BACKLOG = 1024
+BACKLOG = 4096
 
 
 def bind(host: str, port: int) -> socket.socket:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
@@ -17,6 +16,9 @@ class Rank(IntEnum):
     HIGH = 1
 
 
+RANKS = tuple(Rank)  # to go through an enumeration costs more than all the rest
+
+
 def rank_of(role: Role) -> Rank:
     """Who may drive never waits behind who only watches."""
     return Rank.HIGH if role.includes(Role.DRIVE) else Rank.LOW
@@ -27,6 +29,7 @@ class Seat:
     holder: str  # whose it is: a token's id, or an address; empty: nobody's in particular
     rank: Rank
     end: Callable[[], None]  # called when it has to yield
+    number: int  # in the order in which they were taken
 
 
 class Seats:
@@ -37,41 +40,54 @@ class Seats:
         self._limit = limit
         self._per_holder = per_holder
         self._oldest_yields = oldest_yields
-        self._taken: dict[Seat, None] = {}  # the oldest first
+        self._next = 0
+        self._count = 0
+        self._taken: dict[tuple[Rank, str], dict[Seat, None]] = {}  # by rank and holder, the oldest first
 
     @property
     def is_full(self) -> bool:
-        return len(self._taken) >= self._limit
+        return self._count >= self._limit
 
     def take(self, holder: str, rank: Rank, end: Callable[[], None]) -> Seat | None:
         """A seat, for which another one may have to yield; None: nobody has to."""
-        own = [seat for seat in self._taken if seat.holder == holder]
-        if holder and len(own) >= self._per_holder:
-            self._end(own[0])
+        own = [seats for of in RANKS if (seats := self._taken.get((of, holder)))]
+        if holder and sum(map(len, own)) >= self._per_holder:
+            self._end(min(map(_oldest, own), key=lambda seat: seat.number))
         elif self.is_full:
             yielding = self._who_yields(holder, rank)
             if yielding is None:
                 return None
             self._end(yielding)
-        seat = Seat(holder, rank, end)
-        self._taken[seat] = None
+        seat = Seat(holder, rank, end, self._next)
+        self._next += 1
+        self._count += 1
+        self._taken.setdefault((rank, holder), {})[seat] = None
         return seat
 
     def leave(self, seat: Seat) -> None:
         """Give a seat back; one that had to yield is given back already."""
-        self._taken.pop(seat, None)
+        group = (seat.rank, seat.holder)
+        seats = self._taken.get(group, {})
+        if seat in seats:
+            del seats[seat]
+            self._count -= 1
+            if not seats:
+                del self._taken[group]
 
     def _who_yields(self, holder: str, rank: Rank) -> Seat | None:
         """Of the lowest rank the oldest of the holder with most seats, unless they are the newcomer's equals."""
-        lowest = min((seat.rank for seat in self._taken), default=None)
+        lowest = min((of for of, _ in self._taken), default=None)
         if lowest is None or lowest > rank:
             return None
-        counts = Counter(seat.holder for seat in self._taken if seat.rank == lowest)
-        busiest, most = counts.most_common(1)[0]
-        if lowest < rank or self._oldest_yields or most > counts[holder] + 1:
-            return next(seat for seat in self._taken if (seat.rank, seat.holder) == (lowest, busiest))
-        return None
+        groups = [seats for (of, _), seats in self._taken.items() if of == lowest]
+        busiest = max(groups, key=lambda seats: (len(seats), -_oldest(seats).number))
+        own = len(self._taken.get((lowest, holder), ()))
+        return _oldest(busiest) if lowest < rank or self._oldest_yields or len(busiest) > own + 1 else None
 
     def _end(self, seat: Seat) -> None:
-        del self._taken[seat]
+        self.leave(seat)
         seat.end()
+
+
+def _oldest(seats: dict[Seat, None]) -> Seat:
+    return next(iter(seats))

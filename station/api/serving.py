@@ -50,6 +50,7 @@ class _Server(uvicorn.Server):
             connections.max_strangers,
             STRANGER_WITHIN_S,
             lambda caller: self._make_protocol(connections.open(caller)),
+            callers_speak_first=True,
         )
         self._watching = (
             asyncio.create_task(reception.run(), name="API's reception"),

@@ -1,0 +1,85 @@
+"""Reception: who is taken first, and who costs nothing."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from shared.listening import bind
+from shared.reception import HANDSHAKES_AT_ONCE, Caller, Reception
+from shared.seats import Rank, Seats
+
+STRANGERS = 4 * HANDSHAKES_AT_ONCE
+WITHIN_S = 30.0
+OWNER, STRANGER = "127.0.0.2", "127.0.0.3"
+
+
+class Spoken(asyncio.Protocol):
+    """Knows the owner by the address, and notes from where connections come, in their order."""
+
+    def __init__(self, caller: Caller, known: Seats, order: list[str]) -> None:
+        self._caller, self._known, self._order = caller, known, order
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self._caller.made(transport)
+        host = transport.get_extra_info("peername")[0]
+        self._order.append(host)
+        if host == OWNER:
+            assert self._caller.know(self._known, "owner", Rank.HIGH)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._caller.left()
+
+
+@asynccontextmanager
+async def received(listener: socket.socket, order: list[str]) -> AsyncIterator[None]:
+    known = Seats(8, 8)
+    reception = Reception(
+        listener, {}, 4 * STRANGERS, WITHIN_S, lambda caller: Spoken(caller, known, order), callers_speak_first=True
+    )
+    running = asyncio.create_task(reception.run())
+    try:
+        yield
+    finally:
+        running.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await running
+
+
+def call(listener: socket.socket, source: str) -> socket.socket:
+    connection = socket.create_connection(listener.getsockname()[:2], source_address=(source, 0))
+    connection.sendall(b"x")
+    return connection
+
+
+async def until_spoken(order: list[str], count: int) -> None:
+    async with asyncio.timeout(WITHIN_S):
+        while len(order) < count:
+            await asyncio.sleep(0.01)
+
+
+async def test_who_is_familiar_does_not_wait_for_a_crowd_of_strangers() -> None:
+    order: list[str] = []
+    async with received(listener := bind("127.0.0.1", 0), order):
+        with call(listener, OWNER), contextlib.ExitStack() as crowd:
+            await until_spoken(order, 1)
+            for _ in range(STRANGERS):  # all of them are in the kernel's queue, the owner is the last
+                crowd.enter_context(call(listener, STRANGER))
+            with call(listener, OWNER):
+                await until_spoken(order, STRANGERS + 2)
+    assert OWNER in order[1 : 1 + HANDSHAKES_AT_ONCE]
+
+
+async def test_who_has_gone_without_a_word_is_not_received() -> None:
+    order: list[str] = []
+    listener = bind("127.0.0.1", 0)
+    for _ in range(STRANGERS):
+        socket.create_connection(listener.getsockname()[:2], source_address=(STRANGER, 0)).close()
+    async with received(listener, order):
+        with call(listener, OWNER):
+            await until_spoken(order, 1)
+    assert order == [OWNER]
