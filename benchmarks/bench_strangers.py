@@ -36,16 +36,18 @@ WITHIN_S = 5.0  # an answer later than that counts as none
 DESCRIPTORS = 256
 HELD = 240  # unfinished bodies
 AT_ONCE = 32  # strangers of a flood, from eight addresses
+GARBAGE = b"\0"  # no TLS begins so
 BODY = b"POST /login HTTP/1.1\r\nHost: s\r\nContent-Type: application/json\r\nContent-Length: 4000\r\n\r\n"
 REQUEST = b"POST /stop HTTP/1.1\r\nHost: s\r\nContent-Length: 0\r\n\r\n"
 NOBODY = "nobody else"
-BODIES, CONNECTIONS, HANDSHAKES, REQUESTS = (
+BODIES, CONNECTIONS, WORDS, HANDSHAKES, REQUESTS = (
     f"{HELD} unfinished bodies",
     "a flood of connections",
+    "a flood of connections that say a byte",
     "a flood of TLS handshakes",
     "a flood of requests",
 )
-STRANGERS = (NOBODY, BODIES, CONNECTIONS, HANDSHAKES, REQUESTS)
+STRANGERS = (NOBODY, BODIES, CONNECTIONS, WORDS, HANDSHAKES, REQUESTS)
 
 
 async def trouble(what: str, host: str, port: int) -> None:
@@ -60,10 +62,13 @@ async def _trouble(what: str, host: str, port: int, tls: ssl.SSLContext, number:
     while True:
         try:
             async with asyncio.timeout(WITHIN_S):
-                source = (f"127.0.0.{2 + number % 8}", 0)
+                # Each kind's own: a closed connection keeps its port for a minute.
+                source = (f"127.0.{STRANGERS.index(what)}.{2 + number % 8}", 0)
                 reader, writer = await asyncio.open_connection(
-                    host, port, ssl=None if what == CONNECTIONS else tls, local_addr=source
+                    host, port, ssl=None if what in (CONNECTIONS, WORDS) else tls, local_addr=source
                 )
+                if what == WORDS:
+                    writer.write(GARBAGE)
                 if what == BODIES:
                     writer.write(BODY)
                     await reader.read()
