@@ -1,6 +1,7 @@
 """How good is a backend's map for places? Maps simulated flats, then looks for the pictures of a second drive in it.
 
     python -m benchmarks.bench_mapping --backend ukf --seeds 101-106 [--scratch DIR] [--step 1] [--rows FILE.jsonl]
+        [--look-around 60]
 
 Per seed, as in the demo but without waiting for the clock: the mapping route through a flat of world `small`, the map
 and its places, then 30 s of another route from a random spot, its pictures localised four times a second. Drives
@@ -8,6 +9,7 @@ are rendered where they are missing, with all imperfections on. The truth only j
 and yaw; `localised`: share of the second drive's pictures with a verified pose; `position_m`: error of those poses
 (median, 90 %, worst) after the map was laid on the truth; `right`: answers "known" that name the nearest place, ties
 within 10 %.
+With --look-around the camera's head turns so many degrees to both sides in both drives, by servos 3 degrees wrong.
 One JSON line per seed, failures too; seeds that FILE (usually in benchmarks/results/work) already has are not run
 again, so an interrupted run can go on.
 """
@@ -27,7 +29,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.result import Figure, Run, add_results_option, share, work_folder
 from shared.errors import RobotSystemError
-from shared.geometry import FloatArray, transform
+from shared.geometry import FloatArray, inverse, transform
 from station.config import BACKENDS
 from station.datasets import Dataset, open_dataset
 from station.demo.judge import is_right
@@ -45,6 +47,7 @@ from station.slam.run import run_backend
 
 LOOK_EVERY_NS = 250_000_000
 SECOND_DRIVE_S = 30.0
+MAX_OF_PATH_PERCENT = 0.3  # asked with a turning head
 
 
 def render(out: Path, seed: int, world: str, *arguments: str) -> Path:
@@ -138,7 +141,8 @@ def second_drive(path: Path, backend: str, place_map: PlaceMap, T_truth_map: Flo
         looked += 1
         if attempt is not None and attempt.candidates:
             localised += 1
-            T = attempt.candidates[0].T_map_cam @ camera.T_cam_body_matrix
+            T_body_head = tracker.last_aim.T_body_head
+            T = attempt.candidates[0].T_map_cam @ camera.T_cam_body_matrix @ inverse(T_body_head)
             errors.append(float(np.linalg.norm(transform(T_truth_map, T[None, :3, 3])[0] - T_true[0, :3, 3])))
         answer = tracker.answer(int(at[0]))
         if answer.state != "known" or answer.place is None:
@@ -154,13 +158,17 @@ def second_drive(path: Path, backend: str, place_map: PlaceMap, T_truth_map: Flo
     }
 
 
-def run_seed(seed: int, world: str, backend: str, step: int, scratch: Path) -> dict[str, Any]:
+def run_seed(seed: int, world: str, backend: str, step: int, around: int, scratch: Path) -> dict[str, Any]:
     """One flat: map it, look for another drive in it."""
-    row: dict[str, Any] = {"world": world, "seed": seed, "backend": backend, "step": step}
-    first = render(scratch / f"{world}{seed}-mapping", seed, world, "--route", "mapping", "--drive-seed", str(seed))
+    row: dict[str, Any] = {"world": world, "seed": seed, "backend": backend, "step": step, "look_around": around}
+    turning = ("--look-around", str(around)) if around else ()
+    name = f"{world}{seed}" + (f"-around{around}" if around else "")
+    first = render(
+        scratch / f"{name}-mapping", seed, world, "--route", "mapping", "--drive-seed", str(seed), *turning,
+    )  # fmt: skip
     second = render(
-        scratch / f"{world}{seed}-second", seed, world, "--route", "second", "--drive-seed", str(seed + 1000),
-        "--put-down", str(seed), "--fps", "10", "--max-duration", str(SECOND_DRIVE_S),
+        scratch / f"{name}-second", seed, world, "--route", "second", "--drive-seed", str(seed + 1000),
+        "--put-down", str(seed), "--fps", "10", "--max-duration", str(SECOND_DRIVE_S), *turning,
     )  # fmt: skip
     try:
         nav, figures = map_navigation(first, backend, step)
@@ -191,6 +199,7 @@ def main() -> int:
     parser.add_argument("--seeds", default="101-106")
     parser.add_argument("--world", default="small")
     parser.add_argument("--step", type=int, default=1, help="use every step-th picture of the mapping drive")
+    parser.add_argument("--look-around", type=int, default=0, help="degrees to both sides that the head turns")
     parser.add_argument("--scratch", type=Path, help="where drives are kept; usually in benchmarks/results/work")
     parser.add_argument("--rows", type=Path)
     add_results_option(parser, "mapping")
@@ -201,13 +210,14 @@ def main() -> int:
     kept = arguments.rows or work_folder() / "mapping.jsonl"
     kept.parent.mkdir(parents=True, exist_ok=True)
     lines = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
-    known = {(r["world"], r["seed"], r["backend"], r["step"]): r for r in lines}
+    known = {(r["world"], r["seed"], r["backend"], r["step"], r["look_around"]): r for r in lines}
     rows = []
     for seed in parse_seeds(arguments.seeds):
         for backend in arguments.backend or ["ukf"]:
-            row = known.get((arguments.world, seed, backend, arguments.step))
+            options = arguments.step, arguments.look_around
+            row = known.get((arguments.world, seed, backend, *options))
             if row is None:
-                row = run_seed(seed, arguments.world, backend, arguments.step, scratch)
+                row = run_seed(seed, arguments.world, backend, *options, scratch)
                 with kept.open("a") as file:
                     file.write(json.dumps(row, default=str) + "\n")
             print(json.dumps(row, default=str), flush=True)
@@ -222,12 +232,22 @@ def figures(rows: list[dict[str, Any]]) -> list[Figure]:
     for backend in dict.fromkeys(row["backend"] for row in rows):
         mine = [row for row in rows if row["backend"] == backend]
         good = [row for row in mine if "failed" not in row]
-        title = f"map by {backend}, {len(mine)} flats"
+        around = "" if not mine[0]["look_around"] else f", head turning by {mine[0]['look_around']}°"
+        title = f"map by {backend}, {len(mine)} flats{around}"
         errors = [row["ate_m"] for row in good]
+        of_path = [100 * row["ate_m"] / row["path_m"] for row in good]
         known = sum(row["right"] + row["wrong"] for row in good)
         looked = sum(row["looked"] for row in good)
         found += [
             Figure(f"{title}: error of its path, worst", max(errors, default=None), "m", of=len(good)),
+            Figure(
+                f"{title}: error of its path, worst, of its length",
+                max(of_path, default=None),
+                "%",
+                at_most=MAX_OF_PATH_PERCENT if around else None,
+                of=len(good),
+            ),
+            share(f"{title}: answers of a second drive that are known", known, looked),
             share(
                 f"{title}: pictures of a second drive localised",
                 sum(r["localised"] * r["looked"] for r in good),

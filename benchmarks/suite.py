@@ -79,6 +79,8 @@ SUITE = (
     Benchmark("calibrate_camera_sessions", SLAM, "bench_calibrate_camera_sessions", "--seeds 0-19", "--seeds 0"),
     Benchmark("calibrate_imu", SLAM, "bench_calibrate_imu", "--seeds 20", "--seeds 1"),
     Benchmark("mapping", SLAM, "bench_mapping", "--backend sfm --backend ukf", None),
+    Benchmark("head_ahead", SLAM, "bench_mapping", "--backend ukf --seeds 170-174", None),
+    Benchmark("head_turning", SLAM, "bench_mapping", "--backend ukf --seeds 170-174 --look-around 60", None),
     Benchmark("places", PLACES, "places", "--first 400 --seeds 30", "--seeds 1"),
     Benchmark(
         "rooms", PLACES, "bench_rooms",

@@ -36,6 +36,17 @@ NUM_ERRORS = 2 + NUM_CONSTANTS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Aim:
+    """Where the head had the camera when an image was taken."""
+
+    T_body_head: FloatArray  # (4, 4)
+    sigma_rad: float  # of its rotation
+
+
+AHEAD = Aim(np.eye(4), 0.0)  # and where the camera is fixed to the body
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class HeadPose:
     """A head at one time, as it was told."""
 
@@ -64,6 +75,12 @@ class HeadPose:
         """(4, 4), of angles that are `off` (2,) larger than told."""
         pan, tilt = (self.angles + off).tolist()
         return turned(self.calibration, pan, tilt)
+
+    @property
+    def aim(self) -> Aim:
+        """As it was told, of servos that nobody has measured."""
+        root = self.by_errors @ errors_before_the_drive(self.calibration)
+        return Aim(self.T_body_head(np.zeros(2)), float(np.linalg.norm(root)))
 
     def by_angles(self, off: FloatArray) -> tuple[FloatArray, FloatArray]:
         """How T_body_head changes with the angles: rotation vectors (3, 2) and displacements (3, 2), in body axes."""

@@ -54,13 +54,13 @@ class CurrentPlace(IgnoringListener):
         program: ProgramName[PlaceProgram, PlaceEvent] = PLACES,
         on_report: Callable[[PlaceReport], None] = lambda _: None,
         slots: ComputeSlots | None = None,
-        looks_ahead: Callable[[], bool] = lambda: True,
+        may_look: Callable[[], bool] = lambda: True,
     ) -> None:
         """`on_report` gets every answer. `slots` are shared by the robots of a station: whose pictures are looked at.
 
-        `looks_ahead`: whether the camera is where the calibration has it; only then a picture tells the place.
+        `may_look`: whether it is known where the camera is; only then a picture tells the place.
         """
-        self._looks_ahead = looks_ahead
+        self._may_look = may_look
         self._on_report = on_report
         self._slots = slots or ComputeSlots()
         self._program = program
@@ -199,7 +199,7 @@ class CurrentPlace(IgnoringListener):
 
     def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:  # noqa: ARG002
         """The worker gets the newest picture when it is free."""
-        if self._map_ids and self._looks_ahead():
+        if self._map_ids and self._may_look():
             self._frames.put((self._runs, frame))
 
     def _post(

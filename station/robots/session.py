@@ -94,7 +94,7 @@ class RobotSession(IgnoringListener):
             shared.place_program,
             on_report=lambda report: self.current_navigation.on_answer(report),
             slots=shared.slots,
-            looks_ahead=lambda: self.driving.looks_ahead,
+            may_look=lambda: self._knows_camera,
         )
         self.current_navigation = CurrentNavigation(
             shared.navigations,
@@ -156,12 +156,22 @@ class RobotSession(IgnoringListener):
         return ""
 
     @property
+    def _knows_camera(self) -> bool:
+        """Whether the calibration tells where the camera is: of one that looks aside, where its head's pivot is."""
+        return self.driving.looks_ahead or self._knows_head
+
+    @property
+    def _knows_head(self) -> bool:
+        hello = self.link.state.hello
+        return hello is not None and hello.calibration.head is not None
+
+    @property
     def looks_aside(self) -> str:
         """Why the place is not looked for just now, in a sentence; empty when it is.
 
-        The localisation takes the camera where the calibration has it, and would put the robot where it is not.
+        It would be looked for as from where the calibration has the camera, and the robot put where it is not.
         """
-        if self.active_maps.first is None or self.driving.looks_ahead:
+        if self.active_maps.first is None or self._knows_camera:
             return ""
         return "the camera looks aside; the place is looked for again when it looks straight ahead (pan 0, tilt 0)"
 
@@ -288,7 +298,7 @@ class RobotSession(IgnoringListener):
 
     async def look_in_active_maps(self) -> None:
         active = self.active_maps.all
-        if active:
+        if active and not self._knows_head:
             self.driving.centre_head()
         self.events.changed("robot")
         await self.current_place.use_maps(tuple(one.place_map.id for one in active))

@@ -10,9 +10,11 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from urllib.parse import quote
 
+import msgspec
 import pytest
 import websockets
 
+from shared.calibration import REFERENCE_ROBOT
 from shared.messages import ErrorNotice
 from shared.text import is_printable
 from station.robots.session import MAX_STOP_LINES, MAX_WARNINGS
@@ -295,9 +297,21 @@ async def test_the_head_may_turn_while_a_backend_records_that_knows_where_it_is(
         await until(lambda: bench.head.pointed[-1:] == [(0.3, -0.1)])
 
 
-async def test_the_head_is_centred_when_a_map_becomes_active(tmp_path: Path) -> None:
+async def test_the_place_is_looked_for_with_a_head_that_looks_aside(tmp_path: Path) -> None:
     place_map = store_map(tmp_path)
     async with at_work(tmp_path) as (desk, bench, _):
+        await desk.http.post("/pan-tilt", json={"pan": 0.3, "tilt": -0.1})
+        await desk.http.put("/maps/active", json={"id": place_map.id})
+        await wait_for(desk, "/place/current", lambda p: p["state"] == "known")
+        await until(lambda: bench.head.pointed[-1] == (0.3, -0.1))  # servos are led there
+        answers = desk.station.first.current_place.answers
+        await until(lambda: desk.station.first.current_place.answers > answers + 2)
+        assert "looks aside" not in (await desk.http.get("/place/current")).json()["reason"]
+
+
+async def test_a_head_that_is_not_calibrated_is_centred_when_a_map_becomes_active(tmp_path: Path) -> None:
+    place_map = store_map(tmp_path)
+    async with at_work(tmp_path, msgspec.structs.replace(REFERENCE_ROBOT, head=None)) as (desk, bench, _):
         await desk.http.post("/pan-tilt", json={"pan": 0.3, "tilt": -0.1})
         await desk.http.put("/maps/active", json={"id": place_map.id})
         await until(lambda: len(bench.head.pointed) > 2 and bench.head.pointed[-1] == (0.0, 0.0))

@@ -12,7 +12,7 @@ from robot.commands import CommandDesk
 from robot.config import RobotConfig, ServerConfig
 from robot.devices.ports import BatteryState, CapturedFrame, DeviceSet, ImuReading
 from robot.server import RobotServer
-from shared.calibration import REFERENCE_ROBOT
+from shared.calibration import REFERENCE_ROBOT, Calibration
 from shared.listening import bind
 from shared.messages import (
     PROTOCOL_VERSION,
@@ -160,9 +160,10 @@ class HearingDesk(CommandDesk):
 class Bench:
     """One robot-server with fake devices."""
 
-    def __init__(self, clock_rate: float = 1.0, **server: int) -> None:
+    def __init__(self, clock_rate: float = 1.0, calibration: Calibration = REFERENCE_ROBOT, **server: int) -> None:
         self._clock_rate = clock_rate
         self.camera, self.imu, self.motors, self.head = FakeCamera(), FakeImu(), FakeMotors(), FakeHead()
+        self.calibration = calibration
         self.config = RobotConfig(server=ServerConfig(port=0, **server))
         self.port = 0
         self._server: RobotServer | None = None
@@ -176,7 +177,7 @@ class Bench:
 
     def devices(self) -> DeviceSet:
         return DeviceSet(
-            calibration=REFERENCE_ROBOT,
+            calibration=self.calibration,
             camera=self.camera,
             imu=self.imu,
             motors=self.motors,
@@ -212,8 +213,10 @@ class Bench:
 
 
 @asynccontextmanager
-async def running_robot(clock_rate: float = 1.0, **server: int) -> AsyncIterator[Bench]:
-    bench = Bench(clock_rate, **server)
+async def running_robot(
+    clock_rate: float = 1.0, calibration: Calibration = REFERENCE_ROBOT, **server: int
+) -> AsyncIterator[Bench]:
+    bench = Bench(clock_rate, calibration, **server)
     await bench.start()
     try:
         yield bench

@@ -11,6 +11,7 @@ from typing import Any
 
 import websockets
 
+from shared.calibration import REFERENCE_ROBOT, Calibration
 from station.files.navigation_folder import save_navigation
 from station.library.navigation_records import NavigationLibrary, NavigationRecord
 from tests.support.link import Bench, running_robot, until
@@ -19,9 +20,14 @@ from tests.support.station import Desk, Film, running_station
 
 
 @asynccontextmanager
-async def at_work(tmp_path: Path, **options: str) -> AsyncIterator[tuple[Desk, Bench, Film]]:
+async def at_work(
+    tmp_path: Path, calibration: Calibration = REFERENCE_ROBOT, **options: str
+) -> AsyncIterator[tuple[Desk, Bench, Film]]:
     """A robot that films, and a station that is connected to it."""
-    async with running_robot() as bench, running_station(bench.port, tmp_path, **options) as desk:
+    async with (
+        running_robot(calibration=calibration) as bench,
+        running_station(bench.port, tmp_path, **options) as desk,
+    ):
         film = Film(bench)
         filming = asyncio.create_task(film.run())
         try:

@@ -61,6 +61,7 @@ class PoseMeasurement:
     unit: float  # map units per metre
     T_map_body: FloatArray  # (4, 4) map units
     sigma_m: float
+    sigma_rad: float  # heading
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +99,7 @@ class Hypothesis:
 
     @classmethod
     def started(
-        cls, m: PoseMeasurement, T_nav_body: FloatArray, weight: float, counted: float, number: int, c: BeliefConfig
+        cls, m: PoseMeasurement, T_nav_body: FloatArray, weight: float, counted: float, number: int
     ) -> Hypothesis:
         """A new hypothesis: the robot is where this measurement has it."""
         z = m.localization
@@ -107,7 +108,7 @@ class Hypothesis:
             T_map_nav=_nav_in_map(m.T_map_body, T_nav_body, m.unit),
             unit=m.unit,
             sigma_m=m.sigma_m,
-            sigma_rad=c.pose_floor_rad,
+            sigma_rad=m.sigma_rad,
             weight=weight,
             evidence_t_robot_ns=z.t_robot_ns,
             evidence_keyframe=z.keyframe_index,
@@ -162,7 +163,7 @@ class Hypothesis:
         """After a measurement that it expected: a Kalman update. `counted`: log odds of its image."""
         sigma_m, doubt = (self.slipped_sigma_m if fit.slipped else self.sigma_m), fit.doubt
         gain = sigma_m**2 / (sigma_m**2 + doubt * m.sigma_m**2)
-        gain_heading = self.sigma_rad**2 / (self.sigma_rad**2 + doubt * c.pose_floor_rad**2)
+        gain_heading = self.sigma_rad**2 / (self.sigma_rad**2 + doubt * m.sigma_rad**2)
         z = m.localization
         before = self.recognised.lately(z.t_robot_ns, c.landmark_memory_s)
         recognised = before.and_then(z.landmarks, z.t_robot_ns)

@@ -18,6 +18,7 @@ from shared.calibration import Calibration
 from shared.geometry import FloatArray, inverse, so3_log
 from station.model.place_answer import Localization, PlaceAnswer
 from station.model.place_map import PlaceMap
+from station.motion.head import AHEAD, Aim
 from station.places.making.scale import USUAL_VIEWING_M
 from station.places.tracking.belief import Hypothesis
 from station.places.tracking.config import BeliefConfig
@@ -109,11 +110,13 @@ class CurrentPlaceEstimator:
         self._belief = predict_motion(self._belief, distance, turn, self.config)
         self._pass_time(t_robot_ns)
 
-    def on_candidates(self, candidates: Sequence[Localization], t_robot_ns: int | None = None) -> Jump | None:
+    def on_candidates(
+        self, candidates: Sequence[Localization], t_robot_ns: int | None = None, aim: Aim = AHEAD
+    ) -> Jump | None:
         """The verified poses of one image, the best first: of look-alikes at most one is true.
 
-        `t_robot_ns`: its time in the odometry's clock, where that differs. Returns the jump when the belief went over
-        to where the robot cannot have driven.
+        `t_robot_ns`: its time in the odometry's clock, where that differs; `aim`: of the camera then. Returns the jump
+        when the belief went over to where the robot cannot have driven.
         """
         ours = [z for z in candidates if z.map_id in self._map_ids]
         if not ours:
@@ -121,12 +124,12 @@ class CurrentPlaceEstimator:
         t = ours[0].t_robot_ns if t_robot_ns is None else t_robot_ns
         self._predict(t)
         T_nav_body = self._nav_body_at(t)
-        image = self._evidence.of_candidates(ours, self._belief, T_nav_body)
+        image = self._evidence.of_candidates(ours, self._belief, T_nav_body, aim)
         self._update(image, t, T_nav_body)
         self._failed_before = 0.0
         return self._believe(t, T_nav_body)
 
-    def on_failure(self, t_robot_ns: int, num_features: int | None = None) -> None:
+    def on_failure(self, t_robot_ns: int, num_features: int | None = None, aim: Aim = AHEAD) -> None:
         """An image that could not be localised. With few features (dark, covered, a white wall) it says nothing."""
         least = self.config.informative_features
         self._predict(t_robot_ns)
@@ -135,7 +138,7 @@ class CurrentPlaceEstimator:
         features = least if num_features is None else num_features
         T_nav_body = self._nav_body_at(t_robot_ns)
         freshness = self._freshness(T_nav_body)
-        image = self._evidence.of_failure(features, self._failed_before, self._belief, T_nav_body, freshness)
+        image = self._evidence.of_failure(features, self._failed_before, self._belief, T_nav_body, freshness, aim)
         self._update(image, t_robot_ns, T_nav_body)
         self._failed_before = 1.0
 

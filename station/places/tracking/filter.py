@@ -103,7 +103,7 @@ def weigh(
         hypotheses.append(replace(h, weight=h.weight + gained))
     for m, weight, by in zip(image.candidates, found, image.expected_by, strict=True):
         if by is None:
-            started = Hypothesis.started(m, T_nav_body, float(weight), image.counted_log_odds, next(numbers), c)
+            started = Hypothesis.started(m, T_nav_body, float(weight), image.counted_log_odds, next(numbers))
             hypotheses.append(started)
     return Belief(tuple(hypotheses), before.lost * image.lost, before.unmapped * image.unmapped)
 

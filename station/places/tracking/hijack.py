@@ -18,6 +18,7 @@ from shared.geometry import FloatArray, rotation_angle, so3_exp
 from station.model.frames import DriveSample, ImuBatch
 from station.model.place_answer import HijackEvent
 from station.motion.drive_commands import CommandedRest
+from station.motion.head import AHEAD, Aim
 from station.vision.features import Features, similarities
 from station.vision.matching import clearly_nearest
 
@@ -74,12 +75,13 @@ class HijackDetector:
     def on_drive(self, drive: DriveSample) -> None:
         self._inertial.command(drive)
 
-    def on_view(self, t_robot_ns: int, features: Features) -> HijackEvent | None:
+    def on_view(self, t_robot_ns: int, features: Features, aim: Aim = AHEAD) -> HijackEvent | None:
         """Features of an image; a few per second are enough. Without a gyroscope nobody knows whether it turned."""
         if self.is_carried or self._inertial.R_start_body is None:
             self._views.forget()
             return None
-        return self._once(self._views.add(_View(t_robot_ns, features, self._inertial.R_start_body)))
+        R_start_head = self._inertial.R_start_body @ aim.T_body_head[:3, :3]
+        return self._once(self._views.add(_View(t_robot_ns, features, R_start_head)))
 
     def on_jump(self, t_robot_ns: int, distance_m: float, is_other_map: bool, moved: float) -> HijackEvent | None:
         """The current place's estimate went over to a position where the robot cannot have driven.
@@ -220,7 +222,7 @@ def _spread(x: FloatArray) -> float:
 class _View:
     t_robot_ns: int
     features: Features
-    R_start_body: FloatArray  # (3, 3)
+    R_start_head: FloatArray  # (3, 3) of what the camera is fixed to
 
 
 class _ViewCue:
@@ -254,7 +256,7 @@ class _ViewCue:
     def _compares(self, before: _View, now: _View) -> bool:
         """Whether something of that view must still be there now."""
         is_recent = now.t_robot_ns - before.t_robot_ns <= self._gap_s * 1e9
-        turned = rotation_angle(before.R_start_body.T @ now.R_start_body)
+        turned = rotation_angle(before.R_start_head.T @ now.R_start_head)
         is_rich = len(before.features) >= self._c.view_rich_features
         return is_recent and is_rich and bool(turned <= self._c.view_turn_rad)
 

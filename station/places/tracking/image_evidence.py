@@ -17,9 +17,10 @@ import msgspec
 import numpy as np
 
 from shared.calibration import Calibration
-from shared.geometry import FloatArray, so3_log
+from shared.geometry import FloatArray, inverse, so3_log
 from station.model.best_camera import best_camera, is_of_robot
 from station.model.place_answer import Localization
+from station.motion.head import AHEAD, Aim
 from station.places.making.scale import USUAL_VIEWING_M
 from station.places.tracking.belief import FREEDOM, NOTHING, Agreement, Belief, Hypothesis, PoseMeasurement, Recognised
 from station.places.tracking.config import BeliefConfig
@@ -93,7 +94,7 @@ class ImageEvidence:
     # -- an image that was recognised -----------------------------------------------------------------------------
 
     def of_candidates(
-        self, localizations: Sequence[Localization], before: Belief, T_nav_body: FloatArray
+        self, localizations: Sequence[Localization], before: Belief, T_nav_body: FloatArray, aim: Aim = AHEAD
     ) -> ImageLikelihood:
         """The likelihood of an image that was taken at one of several poses, or at none of them ("false").
 
@@ -102,7 +103,7 @@ class ImageEvidence:
         far as that one is a look-alike's. Where no map knows, a first candidate is as likely as strays are there.
         """
         c = self.config
-        candidates = [self.measured(z) for z in localizations]
+        candidates = [self.measured(z, aim) for z in localizations]
         figures = [self.figures(m).or_usual(c.fitted.usual) for m in candidates]
         odds = np.exp([log_odds(c.fitted.right, f) for f in figures])
         false = max(1.0 / (1.0 + float(odds.sum())), c.false_localization_floor)
@@ -139,14 +140,16 @@ class ImageEvidence:
             counted_log_odds=freshness * max(0.0, worth),
         )
 
-    def measured(self, z: Localization) -> PoseMeasurement:
+    def measured(self, z: Localization, aim: Aim = AHEAD) -> PoseMeasurement:
         """A verified pose of an image, as the filter takes it."""
         index = self._index[z.map_id]
         unit = self._maps[index].unit
         sigma_m = float(np.hypot(z.sigma_position / unit, self.config.pose_floor_m))
         camera = self._cameras[index]
         T_cam_body = np.eye(4) if camera is None else camera.T_cam_body_matrix
-        return PoseMeasurement(z, index, unit, z.T_map_cam @ T_cam_body, sigma_m)
+        T_map_body = z.T_map_cam @ T_cam_body @ inverse(aim.T_body_head)
+        sigma_rad = float(np.hypot(self.config.pose_floor_rad, aim.sigma_rad))
+        return PoseMeasurement(z, index, unit, T_map_body, sigma_m, sigma_rad)
 
     def figures(self, m: PoseMeasurement) -> MatchFigures:
         """By which it is judged whether the pose is right."""
@@ -156,7 +159,7 @@ class ImageEvidence:
         if camera is not None and view.sightings.is_enough:
             share = support(len(z.landmarks), view.sightings.in_view(z.T_map_cam, camera))
         if floor is not None:
-            off_floor = floor.off(m.T_map_body, m.sigma_m * m.unit, self.config.pose_floor_rad)
+            off_floor = floor.off(m.T_map_body, m.sigma_m * m.unit, m.sigma_rad)
         is_free = bool(view.space.knows(m.T_map_body[None, :3, 3])[0])
         return MatchFigures(z.extent / m.unit, z.num_inliers, share, z.num_features, off_floor, is_free)
 
@@ -175,7 +178,7 @@ class ImageEvidence:
         T_expected, T_measured = h.pose(T_nav_body), m.T_map_body
         gap_m = float(np.linalg.norm(T_measured[:3, 3] - T_expected[:3, 3])) / m.unit
         turn = float(np.linalg.norm(so3_log(T_expected[:3, :3].T @ T_measured[:3, :3])))
-        sigma_rad = float(np.hypot(h.sigma_rad, self.config.pose_floor_rad))
+        sigma_rad = float(np.hypot(h.sigma_rad, m.sigma_rad))
         uniform = 1.0 / (max(self._maps[m.map_index].area_m2, 1.0) * 2 * np.pi)
 
         def against(position_sigma_m: float, slipped: bool) -> Agreement:
@@ -235,14 +238,20 @@ class ImageEvidence:
     # -- an image that was not --------------------------------------------------------------------------------------
 
     def of_failure(
-        self, num_features: int, failed_before: float, before: Belief, T_nav_body: FloatArray, freshness: float
+        self,
+        num_features: int,
+        failed_before: float,
+        before: Belief,
+        T_nav_body: FloatArray,
+        freshness: float,
+        aim: Aim = AHEAD,
     ) -> ImageLikelihood:
         """The likelihood of an image that was not recognised; `failed_before`: nor was the last one, 0 to 1."""
         c = self.config
         somewhere = failure_probability(c.fitted.fails_in_map, num_features, failed_before)
         factors = []
         for h in before.hypotheses:
-            count = self._in_view(h, T_nav_body)
+            count = self._in_view(h, T_nav_body @ aim.T_body_head)
             at = (
                 somewhere
                 if count is None
@@ -254,7 +263,7 @@ class ImageEvidence:
             factors, somewhere**freshness, nowhere**freshness, corrects=(None,) * len(before.hypotheses)
         )
 
-    def _in_view(self, h: Hypothesis, T_nav_body: FloatArray) -> float | None:
+    def _in_view(self, h: Hypothesis, T_nav_head: FloatArray) -> float | None:
         """How many landmarks should be in view, were a hypothesis true (`Sightings.in_view`); None: nobody knows.
 
         Nobody does where the pose is uncertain by half of what a camera sees.
@@ -264,7 +273,7 @@ class ImageEvidence:
         camera = self._cameras[h.map_index]
         if camera is None or is_uncertain or not sightings.is_enough:
             return None
-        return sightings.in_view(h.pose(T_nav_body) @ camera.T_body_cam_matrix, camera)
+        return sightings.in_view(h.pose(T_nav_head) @ camera.T_body_cam_matrix, camera)
 
 
 def _expected_by(fits: list[list[Agreement]], candidate: int) -> int | None:

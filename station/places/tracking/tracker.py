@@ -17,6 +17,7 @@ from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.place_answer import HijackEvent, PlaceAnswer
 from station.model.place_map import PlaceMap
 from station.motion.dead_reckoning import DeadReckoning
+from station.motion.head import AHEAD, HeadTrack
 from station.places.localisation.localizer import Attempt, Localizer
 from station.places.tracking.config import BeliefConfig
 from station.places.tracking.current import CurrentPlaceEstimator
@@ -42,11 +43,13 @@ class PlaceTracker:
         self.estimator = CurrentPlaceEstimator(maps, calibration, config)
         self.hijacks = HijackDetector(has_wheels=calibration.has_wheels)
         self._reckoning = DeadReckoning()
+        self._head = HeadTrack(calibration.head)
         self._blended = BlendedOdometry()
         self._odometry_t_ns: int | None = None
         self._events: list[HijackEvent] = []
         self._moved_ns: int | None = None  # when somebody moved the robot last
         self.last_attempt: Attempt | None = None
+        self.last_aim = AHEAD  # of the camera then
         self._fit: CalibrationFit | None = None  # of the robot that drives now
         self._unsure_map = {m.id: why for m in maps if (why := why_unsure_of(m.navigation))}
         camera = calibration.camera
@@ -66,6 +69,7 @@ class PlaceTracker:
     def on_drive(self, drive: DriveSample) -> None:
         self.hijacks.on_drive(drive)
         self._reckoning.add_drive(drive)
+        self._head.add(drive)
 
     def on_odometry(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int = 0) -> None:
         """A pose of a running SLAM in metres, however late: better than dead reckoning up to its time."""
@@ -83,13 +87,15 @@ class PlaceTracker:
             return None
         attempt = self.localizer.attempt(frame, self._calibration, self._fit)
         self.last_attempt = attempt
-        seen = self.hijacks.on_view(t, attempt.features) if attempt.features is not None else None
+        head = self._head.pose(t, t)
+        aim = self.last_aim = AHEAD if head is None else head.aim
+        seen = self.hijacks.on_view(t, attempt.features, aim) if attempt.features is not None else None
         if seen is not None:
             self._on_hijack(seen)
         if not attempt.candidates:
-            self.estimator.on_failure(t, attempt.num_features)
+            self.estimator.on_failure(t, attempt.num_features, aim)
             return attempt
-        jump = self.estimator.on_candidates(attempt.candidates, t)
+        jump = self.estimator.on_candidates(attempt.candidates, t, aim)
         event = None if jump is None else self.hijacks.on_jump(t, jump.distance_m, jump.is_other_map, jump.moved)
         if event is not None:
             self._events.append(event)  # the estimate is there already

@@ -10,10 +10,35 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
+from shared.calibration import REFERENCE_ROBOT
+from shared.geometry import se3
+from shared.head import turned
+from station.motion.head import AHEAD, Aim
 from station.places.tracking.current import CurrentPlaceEstimator
 from station.places.tracking.map_view import MapView
 from station.places.tracking.report import largest
-from tests.support.places import SECOND, estimator_of, make_map, pose, seen
+from tests.support.places import R_BODY_CAM, SECOND, estimator_of, make_map, pose, seen
+
+
+@pytest.mark.parametrize("pan", [0.0, 0.9, -1.0])
+def test_a_robot_whose_head_looks_aside_is_where_it_would_be_if_it_looked_ahead(pan: float) -> None:
+    head = REFERENCE_ROBOT.head
+    assert head is not None
+    place_map = make_map()
+    aim = Aim(turned(head, pan, 0.1), 0.05)
+    answers = []
+    for T_body_head, of in ((np.eye(4), AHEAD), (aim.T_body_head, aim)):
+        estimator = CurrentPlaceEstimator([place_map])
+        for k in range(3):
+            ahead = seen(k, pose(2.8, 0.2, 0.4))
+            T_map_body = pose(2.8, 0.2, 0.4) @ T_body_head
+            estimator.on_candidates([replace(ahead, T_map_cam=T_map_body @ se3(R_BODY_CAM, np.zeros(3)))], aim=of)
+        answers.append(estimator.answer(2 * SECOND))
+    straight, turned_aside = answers
+    assert straight.place is not None and turned_aside.place is not None
+    assert turned_aside.place.id == straight.place.id
+    np.testing.assert_allclose(turned_aside.position_map, straight.position_map, atol=1e-9)
+    np.testing.assert_allclose(turned_aside.forward_map, straight.forward_map, atol=1e-9)
 
 
 def test_before_any_image_the_robot_is_lost() -> None:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from shared.calibration import REFERENCE_ROBOT
 from shared.geometry import yaw_rotation
+from shared.head import turned
 from station.model.frames import DriveSample, ImuBatch
 from station.model.place_answer import HijackEvent
 from station.motion.dead_reckoning import DeadReckoning
+from station.motion.head import AHEAD, Aim
 from station.places.tracking.hijack import HijackDetector
 from station.vision.features import Features, to_bytes
 from tests.support.motion import SECOND, imu, lift, seconds
@@ -99,6 +102,17 @@ def test_a_view_that_changes_at_once_and_stays_is_a_hijack() -> None:
     events = [detector.on_view(k * SECOND // 2, view) for k, view in enumerate(views)]
     assert events[:3] == [None, None, None]
     assert events[3] is not None and events[3].cue == "vision"
+
+
+def test_a_view_that_went_because_the_head_turned_is_no_hijack() -> None:
+    rng = np.random.default_rng(0)
+    head = REFERENCE_ROBOT.head
+    assert head is not None
+    detector, a, b = HijackDetector(), features(rng), features(rng)
+    resting(detector)
+    aside = Aim(turned(head, 0.8, 0.0), 0.05)
+    views = [(a, AHEAD), (a, AHEAD), (b, aside), (b, aside)]
+    assert not any(detector.on_view(k * SECOND // 2, view, aim) for k, (view, aim) in enumerate(views))
 
 
 def test_a_covered_lens_and_a_passing_person_are_no_hijack() -> None:
