@@ -34,6 +34,9 @@ PAUSE_NS = 20_000_000  # a line through the quickest arrivals is not that wrong;
 # Of its life that a command must have left to start motors. One that was said within half a life of another has less
 # when that other one is over, so the last words of a driver who falls silent start nothing.
 STARTING_SHARE = 0.5
+# From when a command may have been said at the earliest. A life begins with the quickest arrival, and how long that one
+# was on its way nobody knows: at most as long as there and back. Motors stop within half a second, threads included.
+MAX_HOLD_NS = 450_000_000
 MAX_AHEAD = 1024  # commands by datagram that the connection has not brought yet: it is dead long before
 About = Literal["hijack", "calibration"] | msgspec.UnsetType  # which question a notice answers
 
@@ -49,6 +52,9 @@ class CommandOrder:
     on. But what it says after it has heard us it says later than we spoke: that shows the pause, and no network can
     feign it. All is learnt anew then.
 
+    What is late by the same from the beginning on looks quick. But a command was said after what the station had heard
+    of us by then: between that and the quickest arrivals it was said, and it holds for MAX_HOLD_NS from the former.
+
     Commands come by datagram too, in any order. These may be held up for as long as somebody likes while the
     connection goes on: they never show a pause, and what was said before one counts no more. Of a command's two copies
     the first to come counts; the connection keeps the order, so up to what it has brought a datagram is the later one.
@@ -56,6 +62,7 @@ class CommandOrder:
 
     def __init__(self) -> None:
         self._clock = RemoteClock(MAX_CRYSTAL_DRIFT)
+        self._heard_clock = RemoteClock(MAX_CRYSTAL_DRIFT)  # our clock as the station hears it, the way there included
         self._first_ns: int | None = None
         self._last_seq = -1  # of drive and stop
         self._heard_seq = -1  # of heartbeats, too: all share one count
@@ -74,8 +81,11 @@ class CommandOrder:
         """Something the station stamped has arrived: heartbeats show the least delay also while nobody drives."""
         if not is_datagram and self._has_paused(t_station_ns):
             self._clock, self._first_ns = RemoteClock(MAX_CRYSTAL_DRIFT), None
+            self._heard_clock = RemoteClock(MAX_CRYSTAL_DRIFT)
             self._anew_ns = self._newest_ns = t_station_ns
             self._newest_datagram_ns = None
+        if not is_datagram and self._has_heard_ns is not None:
+            self._heard_clock.add(self._has_heard_ns, t_station_ns)
         overtaking_ns = self._newest_ns if is_datagram else self._newest_datagram_ns
         if overtaking_ns is not None and t_station_ns < overtaking_ns:
             return  # it says nothing of the quickest way, and must not look like a clock that was set
@@ -123,6 +133,8 @@ class CommandOrder:
         if not is_newest or fit is None or self._first_ns is None or arrived_ns - self._first_ns < SETTLING_NS:
             return None
         until_ns = min(fit.to_local_ns(command.t_station_ns), arrived_ns) + command.ttl_ms * 1_000_000
+        if (heard := self._heard_clock.fit) is not None:
+            until_ns = min(until_ns, heard.to_remote_ns(command.t_station_ns) + MAX_HOLD_NS)
         return until_ns if until_ns > arrived_ns else None
 
     def count(self, seq: int) -> bool:

@@ -227,6 +227,36 @@ def test_a_pause_cannot_be_feigned_by_a_network_that_froze() -> None:
     assert accepted and min(accepted) > thaw_ns - 210 * MS
 
 
+@pytest.mark.parametrize("there_ms", [1, 40, 120, 300, 700])
+@pytest.mark.parametrize("back_ms", [1, 40, 120, 300, 700])
+def test_no_motor_moves_for_half_a_second_after_the_last_word_on_a_network_that_is_always_late(
+    there_ms: int, back_ms: int
+) -> None:
+    order, holds = CommandOrder(), []
+    for step in range(20 * 70):  # longer than quick arrivals are remembered
+        said_ns = step * 50 * MS
+        arrived_ns = said_ns + there_ms * MS
+        order.note_heard(said_ns - back_ms * MS)
+        order.observe(said_ns + 77 * S, arrived_ns)
+        if (until_ns := order.until_ns(command(step, said_ns + 77 * S, ttl_ms=250), arrived_ns)) is not None:
+            holds.append(until_ns - said_ns)
+    assert max(holds, default=0) <= 450 * MS
+    if there_ms + back_ms <= 200:
+        assert min(holds[1:]) == (250 + there_ms) * MS, "a usual network takes nothing of a command's life"
+
+
+def test_a_network_that_becomes_late_for_good_gets_no_more_time_when_the_quick_days_are_forgotten() -> None:
+    order, holds = CommandOrder(), []
+    for step in range(20 * 200):
+        said_ns = step * 50 * MS
+        late_ns = (600 if said_ns > 60 * S else 3) * MS
+        order.note_heard(said_ns - late_ns)
+        order.observe(said_ns, said_ns + late_ns)
+        if (until_ns := order.until_ns(command(step, said_ns, ttl_ms=250), said_ns + late_ns)) is not None:
+            holds.append(until_ns - said_ns)
+    assert max(holds) <= 450 * MS
+
+
 def test_drifting_clocks_do_not_make_commands_stale() -> None:
     order = CommandOrder()
     for step in range(20 * 300):  # five minutes, 500 ppm as NTP may slew a clock: they part by 150 ms
