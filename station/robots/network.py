@@ -13,6 +13,7 @@ KEPT = 20  # two seconds of heartbeats, one of pictures
 GOOD_LOOP_MS = 250.0  # people drive by this as by sight
 SLOW_LOOP_MS = 600.0  # and by this only slowly
 LEAST_RATE_HZ = 8.0
+STANDING_TRIP_MS = 325.0  # where no heartbeat is quicker, no robot starts its motors: stops would come too late
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +71,9 @@ class RecentDelays:
         if loop_ms <= SLOW_LOOP_MS:
             what = f"slow network: {self._numbers(picture_rate_hz)}; drive slowly"
             return NetworkState("slow", what, trip_ms, age_ms)
-        what = f"bad network: {self._numbers(picture_rate_hz)}; come closer to the access point"
+        is_standing = trip_ms is not None and min(self._round_trips_ns) * 1e-6 >= STANDING_TRIP_MS
+        reason = "; the robot stands, since stops would come too late" if is_standing else ""
+        what = f"bad network: {self._numbers(picture_rate_hz)}{reason}; come closer to the access point"
         return NetworkState("bad", what, trip_ms, age_ms)
 
     def _numbers(self, picture_rate_hz: float) -> str:

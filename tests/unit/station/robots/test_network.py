@@ -39,7 +39,15 @@ def delays(trip_ms: int, age_ms: int | None) -> RecentDelays:
             900,
             1.6,
             "bad",
-            "bad network: 2 pictures a second, 900 ms old, 700 ms there and back; come closer to the access point",
+            "bad network: 2 pictures a second, 900 ms old, 700 ms there and back;"
+            " the robot stands, since stops would come too late; come closer to the access point",
+        ),
+        (
+            300,
+            900,
+            1.6,
+            "bad",
+            "bad network: 2 pictures a second, 900 ms old, 300 ms there and back; come closer to the access point",
         ),
     ],
 )
