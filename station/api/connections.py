@@ -25,6 +25,7 @@ MAX_KNOWN = 256
 CONNECTIONS_PER_TOKEN = 64  # a page has three sockets and a browser's six connections
 MAX_HEAD_BYTES = 65_536
 HEAD_WITHIN_S = 10.0  # from the end of the last request to the end of the next one's head
+MAX_SENT_AHEAD = 8  # requests that wait for the answer to the one before them; browsers send none ahead
 TAKEN_WITHIN_S = 30.0  # an answer of which the peer takes nothing for so long is not wanted
 LOOK_S = 0.25
 KEY = "connection"  # in the state of an ASGI scope
@@ -123,9 +124,27 @@ class HttpProtocol(HttpToolsProtocol):
         if self.cycle is None or self.cycle.response_complete:
             connection_of(self.app_state).receive_unasked(len(data))
 
+    def on_headers_complete(self) -> None:
+        """Take the next request. Uvicorn keeps all that are sent ahead: of 18 bytes each, as objects of kilobytes."""
+        if len(self.pipeline) >= MAX_SENT_AHEAD:
+            raise _SentAhead
+        super().on_headers_complete()
+
+    def send_400_response(self, msg: str) -> None:
+        """Answer what is no request; while others wait for their answers, end the connection with the last of these."""
+        if self.cycle is None or self.cycle.response_complete:
+            super().send_400_response(msg)
+            return
+        self.cycle.keep_alive = False
+        self.flow.pause_reading()
+
     def connection_lost(self, exc: Exception | None) -> None:
         connection_of(self.app_state).lost()
         super().connection_lost(exc)
+
+
+class _SentAhead(Exception):
+    """Ends the reading of a connection."""
 
 
 class SocketProtocol(WebSocketsSansIOProtocol):

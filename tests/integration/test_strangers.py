@@ -21,7 +21,7 @@ from shared.access import Role
 from shared.reception import Caller
 from station.access.visitors import access_folder
 from station.api import connections, limits
-from station.api.connections import MAX_STRANGERS, Connection
+from station.api.connections import MAX_SENT_AHEAD, MAX_STRANGERS, Connection
 from station.main import app as station_app
 from tests.support.access import Guarded, guarded_station
 from tests.support.link import WAIT_S, until
@@ -151,6 +151,20 @@ async def test_a_connection_ends_with_a_refusal_and_goes_on_for_who_is_known(tmp
         for _ in range(2):
             await known[0].readuntil(b"HTTP/1.1 503 ")
         leave([stranger, known])
+
+
+async def test_a_few_requests_sent_ahead_of_the_answer_are_kept_and_no_more(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """250 kB of short ones from each of 40 strangers were 600 MB, and ten seconds in which nobody was heard."""
+    async with guarded_station(tmp_path) as station:
+        reader, writer = await opened(station)
+        writer.write(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" * 5000)
+        answers = await asyncio.wait_for(reader.read(-1), WAIT_S)
+        writer.transport.abort()
+    assert 1 <= answers.count(b"HTTP/1.1 200 OK") <= 1 + MAX_SENT_AHEAD
+    assert answers.count(b"HTTP/1.1 ") == answers.count(b"HTTP/1.1 200 OK"), "no other answer in the midst of one"
+    assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
 
 
 async def test_refused_sockets_leave_no_line_in_the_log(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
