@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from shared.discovery import SERVICE_TYPE, service_label
+from shared.discovery import SERVICE_TYPE, ipv6_interfaces, own_addresses, service_label
 
 if TYPE_CHECKING:
     from zeroconf import Zeroconf
@@ -79,7 +79,9 @@ class Announcement:
             properties={"robot_id": self._robot_id},
         )
         # Made anew each time: it knows only the interfaces that were up when it was made.
-        self._zeroconf = Zeroconf(interfaces=self._interfaces or InterfaceChoice.All)
+        is_ipv4 = any(ipaddress.ip_address(address).version == 4 for address in addresses)
+        everywhere = InterfaceChoice.All if is_ipv4 else ipv6_interfaces()
+        self._zeroconf = Zeroconf(interfaces=self._interfaces or everywhere)
         self._zeroconf.register_service(info, allow_name_change=True)
         logger.info("announced as %s at %s", info.name, ", ".join(addresses))
 
@@ -101,12 +103,25 @@ def announced_addresses(host: str) -> list[str]:
     """Addresses under which others reach a listener on `host` now."""
     if not may_be_announced(host):
         return []
-    if not ipaddress.ip_address(host).is_unspecified:
+    listening = ipaddress.ip_address(host)
+    if not listening.is_unspecified:
         return [host]
-    # The address of the interface that leads out. Connecting a datagram socket sends nothing.
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(("192.0.2.1", 9))
-        except OSError:
-            return []
-        return [probe.getsockname()[0]]
+    found = _leading_out(socket.AF_INET, "192.0.2.1") or _own_addresses(4)
+    if not found and listening.version == 6:
+        found = _leading_out(socket.AF_INET6, "2001:db8::1") or _own_addresses(6)
+    return found
+
+
+def _leading_out(family: socket.AddressFamily, anywhere: str) -> list[str]:
+    """The address of the interface that leads out. Connecting a datagram socket sends nothing."""
+    try:
+        with socket.socket(family, socket.SOCK_DGRAM) as probe:
+            probe.connect((anywhere, 9))
+            return [probe.getsockname()[0]]
+    except OSError:
+        return []
+
+
+def _own_addresses(version: int) -> list[str]:
+    """All but loopback: a network without a router leads nowhere."""
+    return [str(ip) for ip, _ in own_addresses() if ip.version == version and not ip.is_loopback]

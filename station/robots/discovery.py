@@ -10,7 +10,7 @@ from collections.abc import Collection, Sequence
 from zeroconf import BadTypeInNameException, InterfaceChoice, ServiceStateChange, Zeroconf
 from zeroconf.asyncio import AsyncServiceBrowser, AsyncServiceInfo, AsyncZeroconf
 
-from shared.discovery import SERVICE_TYPE, service_label
+from shared.discovery import SERVICE_TYPE, ipv6_interfaces, own_addresses, service_label
 from station.robots.search import FoundRobot
 
 SETTLE_S = 0.5  # all answer a question within a tenth of a second, or a second if somebody else has just asked it
@@ -36,7 +36,7 @@ def find_robots(
 
 
 async def _find(seconds: float, preferred: Collection[str], interfaces: Sequence[str]) -> tuple[FoundRobot, ...]:
-    network = AsyncZeroconf(interfaces=list(interfaces) or InterfaceChoice.All)
+    network = _open(interfaces)
     try:
         labels = tuple(map(service_label, preferred))
         services = chosen(await _listen(network.zeroconf, seconds, labels), labels)
@@ -44,6 +44,14 @@ async def _find(seconds: float, preferred: Collection[str], interfaces: Sequence
         return tuple(found for service in services for found in _robots(service))
     finally:
         await network.async_close()
+
+
+def _open(interfaces: Sequence[str]) -> AsyncZeroconf:
+    """Raises OSError: there is no network."""
+    if not interfaces and (by_ipv6 := ipv6_interfaces()):
+        with contextlib.suppress(OSError, RuntimeError):  # a system may have one of the two only
+            return AsyncZeroconf(interfaces=[*(str(ip) for ip, _ in own_addresses() if ip.version == 4), *by_ipv6])
+    return AsyncZeroconf(interfaces=list(interfaces) or InterfaceChoice.All)
 
 
 async def _listen(network: Zeroconf, seconds: float, labels: tuple[str, ...]) -> list[str]:

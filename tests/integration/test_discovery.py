@@ -7,6 +7,7 @@ import itertools
 import socket
 from pathlib import Path
 
+import ifaddr
 import pytest
 from zeroconf import ServiceInfo, Zeroconf
 
@@ -27,6 +28,24 @@ LOOPBACK = ["127.0.0.1"]
 def test_loopback_and_host_names_are_not_announced() -> None:
     assert announced_addresses("127.0.0.1") == announced_addresses("::1") == announced_addresses("my-robot") == []
     assert announced_addresses("192.168.1.20") == ["192.168.1.20"]
+
+
+@pytest.mark.parametrize(
+    ("host", "ips", "announced"),
+    [
+        ("0.0.0.0", ["127.0.0.1", "169.254.7.8", ("fe80::2", 0, 2)], ["169.254.7.8"]),
+        ("0.0.0.0", ["127.0.0.1", ("::1", 0, 0), ("fd00::2", 0, 0)], []),
+        ("::", ["127.0.0.1", ("::1", 0, 0), ("fd00::2", 0, 0), ("fe80::2", 0, 2)], ["fd00::2", "fe80::2"]),
+        ("::", ["10.0.0.1", ("fd00::2", 0, 0)], ["10.0.0.1"]),
+    ],
+)
+def test_a_network_without_a_router_has_addresses_too(
+    monkeypatch: pytest.MonkeyPatch, host: str, ips: list[str | tuple[str, int, int]], announced: list[str]
+) -> None:
+    adapter = ifaddr.Adapter("eth0", "eth0", [ifaddr.IP(ip, 24, "eth0") for ip in ips])
+    monkeypatch.setattr(ifaddr, "get_adapters", lambda: [adapter])
+    monkeypatch.setattr(announce, "_leading_out", lambda *_: [])
+    assert announced_addresses(host) == announced
 
 
 def test_an_announced_robot_is_found_and_a_closed_one_is_not() -> None:
