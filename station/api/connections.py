@@ -26,6 +26,10 @@ CONNECTIONS_PER_TOKEN = 64  # a page has three sockets and a browser's six conne
 MAX_HEAD_BYTES = 65_536
 HEAD_WITHIN_S = 10.0  # from the end of the last request to the end of the next one's head
 MAX_SENT_AHEAD = 8  # requests that wait for the answer to the one before them; browsers send none ahead
+# What a WebSocket may say: a page says 4 kB a second, and all at once what waited in a network that froze for 16 s.
+# Frames of six bytes cost as much as long ones: of more of them all others would wait.
+SOCKET_BYTES_PER_S = 32_768
+SOCKET_BURST_BYTES = 65_536
 TAKEN_WITHIN_S = 30.0  # an answer of which the peer takes nothing for so long is not wanted
 LOOK_S = 0.25
 KEY = "connection"  # in the state of an ASGI scope
@@ -47,6 +51,8 @@ class Connection:
         self._transport: asyncio.Transport | None = None
         self._is_serving = False
         self._head_bytes = 0
+        self._said_bytes = 0.0  # by a socket, less what it might say since
+        self._said_s = 0.0
         self._since_s = time.monotonic()  # when the present phase began, or last got on
         self._untaken = 0  # bytes of answers that the peer has not taken yet
 
@@ -79,6 +85,14 @@ class Connection:
         self._head_bytes += count
         if self._head_bytes > MAX_HEAD_BYTES:
             self.caller.abort()
+
+    def may_say(self, count: int, now_s: float) -> bool:
+        """Whether so many bytes of a socket are taken. False: it floods, and is ended."""
+        forgotten = SOCKET_BYTES_PER_S * (now_s - self._said_s)
+        self._said_bytes, self._said_s = max(0.0, self._said_bytes - forgotten) + count, now_s
+        if self._said_bytes > SOCKET_BURST_BYTES:
+            self.caller.abort()
+        return self._said_bytes <= SOCKET_BURST_BYTES
 
     def look(self, now_s: float) -> None:
         """End it when its phase takes too long."""
@@ -149,6 +163,10 @@ class _SentAhead(Exception):
 
 class SocketProtocol(WebSocketsSansIOProtocol):
     """What the connection speaks from when it has become a WebSocket."""
+
+    def data_received(self, data: bytes) -> None:
+        if not self.handshake_initiated or connection_of(self.app_state).may_say(len(data), time.monotonic()):
+            super().data_received(data)
 
     async def send(self, message: ASGISendEvent) -> None:
         await super().send(message)

@@ -76,6 +76,12 @@ async def write_for_ever(writer: asyncio.StreamWriter, data: bytes) -> None:
             await asyncio.sleep(0.001)
 
 
+async def pinged(socket: websockets.ClientConnection, count: int) -> None:
+    """Each answered."""
+    answers = [await socket.ping() for _ in range(count)]
+    await answers[-1]
+
+
 def leave(connections: list[Streams]) -> None:
     for _, writer in connections:
         writer.transport.abort()
@@ -175,6 +181,19 @@ async def test_refused_sockets_leave_no_line_in_the_log(tmp_path: Path, caplog: 
                     pass
     assert logging.getLogger("uvicorn.error").propagate  # else nothing of it would be seen here
     assert [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING] == []
+
+
+async def test_a_socket_that_floods_is_ended_and_one_that_says_what_waited_is_not(tmp_path: Path) -> None:
+    """Of a watcher's 2 MB of the shortest frames the station heard nobody else for four seconds."""
+    async with guarded_station(tmp_path) as station, asyncio.timeout(3 * WAIT_S):
+        lively = json.dumps({"type": "drive", "seq": 1, "linear": 0.1, "angular": 0.0, "ttl_ms": 250, "heard_ms": 0})
+        async with station.socket("/ws/drive", additional_headers=station.headers(Role.DRIVE)) as socket:
+            for _ in range(16 * 20):
+                await socket.send(lively)
+            await asyncio.wait_for(await socket.ping(), WAIT_S)
+        async with station.socket("/ws/events", additional_headers=station.headers(Role.WATCH)) as socket:
+            with pytest.raises(websockets.ConnectionClosed):
+                await pinged(socket, 30_000)
 
 
 @pytest.mark.parametrize("path", ["/maps", "/stop", "/drive", "/nothing"])
