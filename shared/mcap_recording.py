@@ -7,6 +7,7 @@ Times are the robot's. A recording that goes on after robot-server restarted hol
 from __future__ import annotations
 
 import base64
+import contextlib
 import logging
 import math
 import struct
@@ -61,13 +62,11 @@ class McapContent:
         self._pending: tuple[int, int] | None = None  # a frame's record, whose image must follow
         topics = {HELLO_TOPIC, FRAME_TOPIC, IMAGE_TOPIC, IMU_TOPIC, DRIVE_TOPIC, DEPTH_TOPIC}
         for topic, data, t_ns in _messages(path, topics):
-            try:
+            with _taken_for_ours(path, topic):
                 if topic == DEPTH_TOPIC:
                     self.depth_times.append(_bounded(t_ns, MAX_TIME_NS))
                 elif not self._add(topic, data, path):
                     return
-            except (KeyError, TypeError, ValueError, OverflowError) as exc:
-                raise DataError(f"{path}: a message on {topic} is not one of ours ({exc!r}); record again") from exc
 
     def _add(self, topic: str, data: bytes, path: Path) -> bool:
         """False when the rest of the file must not be used."""
@@ -149,7 +148,8 @@ def recorded_pictures(path: Path) -> Iterator[RecordedPicture]:
     number = 0
     for topic, data, _ in _messages(path, {FRAME_TOPIC, IMAGE_TOPIC}):
         if topic == FRAME_TOPIC:
-            pending = _time(_json(data, path))
+            with _taken_for_ours(path, topic):
+                pending = _time(_json(data, path))
         elif pending is not None:
             first_ns = pending if first_ns is None else first_ns
             yield RecordedPicture(number, pending, (pending - first_ns) * 1e-9, decode_image(data))
@@ -189,6 +189,16 @@ def _messages(path: Path, topics: set[str]) -> Iterator[tuple[str, bytes, int]]:
             logger.warning("%s ends early (%s): read up to its last whole chunk", path, why)
 
 
+@contextlib.contextmanager
+def _taken_for_ours(path: Path, topic: str) -> Iterator[None]:
+    """Raises DataError: the message holds something else."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, OverflowError) as exc:
+        reason = f"without {exc}" if isinstance(exc, KeyError) else exc
+        raise DataError(f"{path}: a message on {topic} is not one of ours ({reason}); record again") from exc
+
+
 def _json(data: bytes, path: Path) -> dict[str, Any]:
     try:
         content: dict[str, Any] = msgspec.json.decode(data, type=dict[str, Any])
@@ -199,6 +209,8 @@ def _json(data: bytes, path: Path) -> dict[str, Any]:
 
 def _time(content: dict[str, Any]) -> int:
     stamp = content["timestamp"]
+    if not isinstance(stamp, dict):
+        raise ValueError(f"{shown(stamp)} is no time")
     seconds, nanoseconds = _bounded(stamp["sec"], MAX_TIME_NS // NANO), _bounded(stamp["nsec"], MAX_TIME_NS)
     return _bounded(seconds * NANO + nanoseconds, MAX_TIME_NS)
 

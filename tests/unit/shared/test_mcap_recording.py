@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 from mcap.writer import Writer
 
 from shared.errors import DataError
-from shared.mcap_recording import DRIVE_TOPIC, FRAME_TOPIC, HELLO_TOPIC, McapContent, mcap_images
+from shared.mcap_recording import DRIVE_TOPIC, FRAME_TOPIC, HELLO_TOPIC, McapContent, mcap_images, recorded_pictures
 from tests.support.hostile_files import mcap_of_chunks
 from tests.support.recordings import HELLO, finish
 
@@ -58,6 +58,8 @@ def test_a_hello_that_nests_without_end_is_damage_and_no_traceback(tmp_path: Pat
         (FRAME_TOPIC, stamped(1.0e300, exposure_ns=0)),
         (FRAME_TOPIC, stamped("0123456789", exposure_ns=0)),
         (FRAME_TOPIC, stamped(1, exposure_ns=10**30)),
+        (FRAME_TOPIC, b"{}"),
+        (FRAME_TOPIC, b'{"timestamp": [1]}'),
         (DRIVE_TOPIC, stamped(1, linear="nan", angular=0.0)),
         (DRIVE_TOPIC, stamped(1, linear=0.0, angular="inf")),
         (FRAME_TOPIC, b'{"a":' * 100_000),
@@ -66,6 +68,12 @@ def test_a_hello_that_nests_without_end_is_damage_and_no_traceback(tmp_path: Pat
 def test_what_is_no_time_velocity_or_calibration_is_refused(topic: str, data: bytes, tmp_path: Path) -> None:
     with pytest.raises(DataError, match=topic if len(data) < 100_000 else "not JSON"):
         McapContent(recording_of(tmp_path / "a.mcap", topic, data))
+
+
+@pytest.mark.parametrize("data", [b"{}", b"[]", b'{"timestamp": 1}', stamped(10**30)])
+def test_a_replay_of_what_is_no_frame_ends_in_a_sentence(data: bytes, tmp_path: Path) -> None:
+    with pytest.raises(DataError):
+        list(recorded_pictures(recording_of(tmp_path / "a.mcap", FRAME_TOPIC, data)))
 
 
 def test_a_recording_that_other_tools_packed_with_zstd_is_read(tmp_path: Path) -> None:
