@@ -80,6 +80,7 @@ class RunningNavigation(IgnoringListener):
         first_ns = self._first_frame_ns
         return replace(
             self.record,
+            message=self.recorder_error or self.record.message,
             frames=self._frames,
             frames_skipped=self.slam.frames_dropped,
             imu_samples=self._imu_samples,

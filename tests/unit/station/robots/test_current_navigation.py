@@ -200,6 +200,15 @@ async def test_what_is_left_to_do_after_a_drive_is_told_and_can_be_given_up(room
         room.current.cancel(navigation.id)
 
 
+async def test_a_recording_that_a_full_disk_ended_says_so_while_the_drive_goes_on(room: Room) -> None:
+    navigation = await room.current.start(hello(), "")
+    room.recorder.error = "recording ended: no space left"
+    room.current.refresh()
+    assert room.current.running is not None and room.current.running.message == room.recorder.error
+    assert (await room.current.stop(navigation.id)).state == "finishing"
+    assert room.recorder.error in (await room.over(navigation.id)).message
+
+
 async def test_a_full_disk_at_the_end_of_a_drive_leaves_nothing_open(room: Room) -> None:
     navigation = await room.current.start(hello(), "")
     room.library.is_full = True
