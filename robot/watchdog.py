@@ -22,6 +22,9 @@ logger = logging.getLogger(__name__)
 
 MAX_TTL_NS = MAX_DRIVE_TTL_MS * 1_000_000
 LATEST_CHECK_S = 0.05  # the thread looks at the clock at least so often, even if a wake-up was lost
+# A word is at the motors' pins by then: the line takes 1 ms, the firmware's loop a few. What would find them at rest
+# there starts them.
+AT_THE_PINS_NS = 10_000_000
 STUCK_NS = 1_000_000_000  # a thread that has not looked for so long hangs in the motors' driver
 
 
@@ -57,8 +60,8 @@ class DriveGuard:
         """
         if self._closed:
             return False
-        is_moving = not self.velocity(now_ns).is_zero
-        if wish.is_zero or (until_ns > now_ns and (is_moving or may_start)):
+        goes_on = not self.velocity(now_ns).is_zero and self._until_ns - now_ns > AT_THE_PINS_NS
+        if wish.is_zero or (until_ns > now_ns and (goes_on or may_start)):
             self._wish = wish
             self._until_ns = min(until_ns, now_ns + MAX_TTL_NS)
             self.num_commands += 1

@@ -41,8 +41,10 @@ def test_what_may_not_start_the_motors_keeps_them_moving_alone() -> None:
     guard.command(AHEAD, 200 * MS, 100 * MS, may_start=False)
     assert guard.velocity(100 * MS) == STANDSTILL
     guard.command(AHEAD, 200 * MS, 100 * MS)
-    guard.command(AHEAD, 220 * MS, 190 * MS, may_start=False)
+    guard.command(AHEAD, 220 * MS, 180 * MS, may_start=False)
     assert guard.velocity(210 * MS) == AHEAD
+    guard.command(AHEAD, 240 * MS, 215 * MS, may_start=False)  # on its way to the pins when the motors rest there
+    assert guard.velocity(221 * MS).is_zero
     guard.command(AHEAD, 240 * MS, 225 * MS, may_start=False)  # nobody had looked since it ended
     assert guard.velocity(230 * MS) == STANDSTILL and guard.stops == 1
 
