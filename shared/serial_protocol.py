@@ -32,6 +32,7 @@ class Type(IntEnum):
     ACK = 0x04
     TIME = 0x05
     QUATERNION = 0x06
+    RANGE = 0x07
     DRIVE = 0x10
     STOP = 0x11
     ASK_TIME = 0x12
@@ -39,6 +40,7 @@ class Type(IntEnum):
     CONFIG_IMU = 0x14
     CONFIG_MOTORS = 0x15
     SERVO = 0x16
+    CONFIG_RANGE = 0x17
 
 
 class Flag(IntFlag):
@@ -140,6 +142,21 @@ class MegaTime(msgspec.Struct, frozen=True):
     t_us: int
 
 
+class Echo(IntEnum):
+    HEARD = 0
+    NONE = 1  # nothing in reach, or nothing that sends sound back
+    SILENT = 2  # the sensor does not answer
+
+
+class RangePacket(msgspec.Struct, frozen=True):
+    """One measurement of an HC-SR04: how long sound took there and back. Only where `ConfigRange` asked for it."""
+
+    sequence: int
+    t_us: int  # Mega's clock: when the sound turned round; of no echo, when that was known
+    echo_us: int  # 0 where none was heard
+    echo: int  # as `Echo` says
+
+
 class Drive(msgspec.Struct, frozen=True):
     """Speeds in permille of full duty, and when they end without another command.
 
@@ -194,8 +211,14 @@ class Servo(msgspec.Struct, frozen=True):
     tilt_us: int
 
 
-FirmwareMessage = Hello | ImuPacket | Status | Ack | MegaTime
-Command = Drive | Stop | AskTime | AskHello | ConfigImu | ConfigMotors | Servo
+class ConfigRange(msgspec.Struct, frozen=True):
+    """How often the HC-SR04 measures: every 50..250 ms; 0: there is none. Firmware before 2.1 does not know it."""
+
+    period_ms: int
+
+
+FirmwareMessage = Hello | ImuPacket | Status | Ack | MegaTime | RangePacket
+Command = Drive | Stop | AskTime | AskHello | ConfigImu | ConfigMotors | Servo | ConfigRange
 
 _BODIES: dict[type[FirmwareMessage | Command], tuple[Type, struct.Struct]] = {
     Hello: (Type.HELLO, struct.Struct("<11BH")),
@@ -203,6 +226,7 @@ _BODIES: dict[type[FirmwareMessage | Command], tuple[Type, struct.Struct]] = {
     Status: (Type.STATUS, struct.Struct("<IHII9HhhHH")),
     Ack: (Type.ACK, struct.Struct("<BB")),
     MegaTime: (Type.TIME, struct.Struct("<II")),
+    RangePacket: (Type.RANGE, struct.Struct("<HIHB")),
     Drive: (Type.DRIVE, struct.Struct("<hhIH")),
     Stop: (Type.STOP, struct.Struct("")),
     AskTime: (Type.ASK_TIME, struct.Struct("<I")),
@@ -210,6 +234,7 @@ _BODIES: dict[type[FirmwareMessage | Command], tuple[Type, struct.Struct]] = {
     ConfigImu: (Type.CONFIG_IMU, struct.Struct("<5B")),
     ConfigMotors: (Type.CONFIG_MOTORS, struct.Struct("<BBBH")),
     Servo: (Type.SERVO, struct.Struct("<HH")),
+    ConfigRange: (Type.CONFIG_RANGE, struct.Struct("<B")),
 }
 _FIRMWARE_MESSAGES: dict[int, type[FirmwareMessage]] = {
     _BODIES[message][0]: message for message in get_args(FirmwareMessage)

@@ -75,6 +75,15 @@ uint8_t pack_quaternion(uint32_t sequence, uint32_t t_us, const int32_t* q_wxyz,
   return w.length();
 }
 
+uint8_t pack(const RangePacket& m, uint8_t* out) {
+  Writer w(out, Type::RANGE);
+  w.u16(m.sequence);
+  w.u32(m.t_us);
+  w.u16(m.echo_us);
+  w.u8(static_cast<uint8_t>(m.echo));
+  return w.length();
+}
+
 // A drive body repeats its bytes inverted: among 65536 damaged frames one passes a CRC-16, and it must not move a robot.
 static const uint8_t DRIVE_BYTES = 10;
 Result parse(const uint8_t* body, uint8_t length, Drive* m) {
@@ -121,6 +130,12 @@ Result parse(const uint8_t* body, uint8_t length, Servo* m) {
   m->pan_us = read_u16(body);
   m->tilt_us = read_u16(body + 2);
   return is_pulse(m->pan_us) && is_pulse(m->tilt_us) ? Result::DONE : Result::BAD_VALUE;
+}
+
+Result parse(const uint8_t* body, uint8_t length, ConfigRange* m) {
+  if (length != 1) return Result::BAD_LENGTH;
+  m->period_ms = body[0];
+  return m->period_ms == 0 || (m->period_ms >= 50 && m->period_ms <= 250) ? Result::DONE : Result::BAD_VALUE;
 }
 
 uint8_t encode_frame(const uint8_t* payload, uint8_t length, uint8_t* out) {

@@ -18,6 +18,7 @@ enum class Type : uint8_t {
   ACK = 0x04,
   TIME = 0x05,
   QUATERNION = 0x06,  // only with the DMP option (docs/firmware.md)
+  RANGE = 0x07,       // only where CONFIG_RANGE asked for it, so that no older Pi gets one
   // Pi to Mega
   DRIVE = 0x10,
   STOP = 0x11,
@@ -26,6 +27,7 @@ enum class Type : uint8_t {
   CONFIG_IMU = 0x14,
   CONFIG_MOTORS = 0x15,
   SERVO = 0x16,
+  CONFIG_RANGE = 0x17,  // firmware 2.1; an older one answers UNKNOWN_TYPE
 };
 
 enum class Result : uint8_t { DONE = 0, BAD_LENGTH = 1, BAD_VALUE = 2, UNKNOWN_TYPE = 3, TOO_LATE = 4 };
@@ -97,6 +99,23 @@ struct Servo {
   uint16_t pan_us, tilt_us;  // pulse width 500..2500; 0 lets the servo go
 };
 
+enum class Echo : uint8_t {
+  HEARD = 0,
+  NONE = 1,    // nothing in reach, or nothing that sends sound back
+  SILENT = 2,  // the sensor does not answer
+};
+
+struct RangePacket {
+  uint16_t sequence;
+  uint32_t t_us;     // when the sound turned round; of no echo, when that was known
+  uint16_t echo_us;  // there and back; 0 where none was heard
+  Echo echo;
+};
+
+struct ConfigRange {
+  uint8_t period_ms;  // 50..250 from one measurement to the next, so that no echo is taken for a later one's; 0: no sensor
+};
+
 // Little-endian writer and reader over a byte array that is known to be long enough.
 class Writer {
  public:
@@ -132,12 +151,14 @@ uint8_t pack(const Status& m, uint8_t* out);
 uint8_t pack_ack(uint8_t asked, Result result, uint8_t* out);
 uint8_t pack_time(uint32_t token, uint32_t t_us, uint8_t* out);
 uint8_t pack_quaternion(uint32_t sequence, uint32_t t_us, const int32_t* q_wxyz, uint8_t* out);  // Q30, wxyz
+uint8_t pack(const RangePacket& m, uint8_t* out);
 
 // Bodies (without type) of commands. DONE where the message was understood and every value is in range.
 Result parse(const uint8_t* body, uint8_t length, Drive* m);
 Result parse(const uint8_t* body, uint8_t length, ConfigImu* m);
 Result parse(const uint8_t* body, uint8_t length, ConfigMotors* m);
 Result parse(const uint8_t* body, uint8_t length, Servo* m);
+Result parse(const uint8_t* body, uint8_t length, ConfigRange* m);
 
 // Payload to frame with delimiter; `out` has MAX_FRAME bytes. Returns the frame's length.
 uint8_t encode_frame(const uint8_t* payload, uint8_t length, uint8_t* out);

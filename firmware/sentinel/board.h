@@ -3,7 +3,7 @@
 #include <avr/io.h>
 #include <stdint.h>
 
-// Timer 2: 1 kHz tick, motor watchdog. Timer 5: microseconds. Timers 3, 4: motor PWM. Timer 1: servos.
+// Timer 2: 1 kHz tick, motor watchdog. Timer 5: microseconds, and when ECHO changed. Timers 3, 4: motor PWM. Timer 1: servos.
 //
 // | what                 | Mega pin | port | timer |
 // | IMU INT              | 2        | PE4  | INT4  |
@@ -14,6 +14,8 @@
 // | DRV8833 FLT          | 8        | PH5  |       |
 // | pan, tilt servo      | 11, 12   | PB5, PB6 | OC1A, OC1B |
 // | battery divider      | A0       | PF0  |       |
+// | HC-SR04 ECHO         | 48       | PL1  | ICP5  |
+// | HC-SR04 TRIG         | 49       | PL0  |       |
 
 const uint16_t BATTERY_FULL_SCALE_MV = 10319;  // 2.56 V reference through 100 kOhm over 33 kOhm: 2560 * 133 / 33
 
@@ -22,6 +24,10 @@ uint32_t clock_us();          // any context
 uint32_t clock_us_in_isr();   // interrupts off
 uint32_t clock_ms();
 extern volatile uint8_t clock_unfed_ms;  // since the loop last fed the watchdog, 255 at most; survives a reset
+
+void range_begin();
+void range_trigger();         // takes 13 us; interrupts may come meanwhile
+bool range_echo_is_high();
 
 void motors_begin();
 void servos_begin();

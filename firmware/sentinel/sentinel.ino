@@ -13,16 +13,18 @@
 #include "motor_pins.h"
 #include "motors.h"
 #include "protocol.h"
+#include "range.h"
 #include "stack.h"
 #include "twi_bus.h"
 #include "uart.h"
 
 using namespace sentinel;
 
-static const uint8_t FIRMWARE_MAJOR = 2, FIRMWARE_MINOR = 0;
+static const uint8_t FIRMWARE_MAJOR = 2, FIRMWARE_MINOR = 1;
 static const uint16_t STATUS_PERIOD_MS = 100, HELLO_PERIOD_MS = 1000;
 
 static Icm20948 imu;
+sentinel::RangeFinder range_finder;
 static FrameParser parser;
 static bool greeted = false;  // the Pi has spoken since the reset
 static uint16_t tx_dropped = 0;
@@ -62,7 +64,7 @@ static uint16_t bus_recoveries_seen() { return bus_recoveries(); }
 
 // What must stay free on the line for what matters more: samples come first, then the status, then answers. A sample's room
 // is free again before the next one comes: 133 bytes leave in 2.7 ms, the shortest period.
-static const uint8_t SAMPLE = 0, REPORT = 37, ANSWER = 120;  // a sample; a sample, a status and a sample
+static const uint8_t SAMPLE = 0, REPORT = 37, ANSWER = 134;  // a sample; a sample, a status, a range and a sample
 
 static bool send(const uint8_t* payload, uint8_t length, uint8_t spare) {
   uint8_t frame[MAX_FRAME];
@@ -168,6 +170,13 @@ static void handle(const uint8_t* payload, uint8_t length) {
       if (result == Result::DONE) servos_set(servo.pan_us, servo.tilt_us);
       break;
     }
+    case Type::CONFIG_RANGE: {
+      ConfigRange config;
+      result = parse(body, n, &config);
+      if (result != Result::DONE) break;
+      ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { range_finder.configure(config); }
+      break;
+    }
     default:
       result = Result::UNKNOWN_TYPE;
       break;
@@ -201,6 +210,19 @@ static void serve_imu(uint32_t now_ms, uint32_t now_us) {
 
 #endif
 
+static void serve_range(uint32_t now_ms, uint32_t now_us) {
+  bool asks = false, has_ended = false;
+  RangePacket packet;
+  ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+    asks = range_finder.next(now_ms, now_us, range_echo_is_high());
+    has_ended = range_finder.take(&packet);
+  }
+  if (asks) range_trigger();
+  if (!has_ended) return;
+  uint8_t payload[MAX_PAYLOAD];
+  send(payload, pack(packet, payload), REPORT);
+}
+
 void setup() {
   ++boot_id;
   // The stock bootloader clears MCUSR; that the loop stood while the motors' interrupt counted tells of the watchdog.
@@ -212,6 +234,7 @@ void setup() {
   uart_begin();
   servos_begin();
   adc_begin();
+  range_begin();
 #ifdef SENTINEL_DMP
   sei();
   dmp_runs = dmp_begin();  // takes a second, before the AVR's watchdog is on; the motors are off
@@ -248,6 +271,7 @@ void loop() {
     }
   }
   serve_imu(now_ms, start_us);
+  serve_range(now_ms, start_us);
   if (adc_poll(&battery_mv)) {
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { motors.battery(battery_mv); }
   }

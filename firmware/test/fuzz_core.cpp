@@ -8,6 +8,7 @@
 #include "../core/imu.h"
 #include "../core/motors.h"
 #include "../core/protocol.h"
+#include "../core/range.h"
 
 using namespace sentinel;
 
@@ -24,8 +25,8 @@ static uint32_t below(uint32_t n) { return next_random() % n; }
 
 // A well-formed frame of any type, often with a body that is nearly right; a drive's inverted copy is always wrong.
 static Bytes frame() {
-  static const uint8_t types[] = {0x01, 0x02, 0x03, 0x10, 0x10, 0x10, 0x11, 0x12, 0x13, 0x14, 0x15, 0x16, 0x7F};
-  static const uint8_t lengths[] = {0, 0, 0, 20, 20, 19, 0, 4, 0, 5, 5, 4, 60};
+  static const uint8_t types[] = {0x01, 0x02, 0x03, 0x10, 0x10, 0x10, 0x11, 0x12, 0x13, 0x14, 0x15, 0x16, 0x17, 0x7F};
+  static const uint8_t lengths[] = {0, 0, 0, 20, 20, 19, 0, 4, 0, 5, 5, 4, 1, 60};
   const uint32_t kind = below(sizeof types);
   uint8_t payload[MAX_PAYLOAD];
   payload[0] = types[kind];
@@ -59,6 +60,8 @@ int main(int argc, char** argv) {
   FrameParser parser;
   MotorControl motors;
   Icm20948 imu;
+  RangeFinder finder;
+  uint32_t asked_us = 0;
   long payloads = 0, refused = 0;
   bool on_the_bus = false;
   BusOp op;
@@ -78,6 +81,7 @@ int main(int argc, char** argv) {
       ConfigImu config_imu;
       ConfigMotors config_motors;
       Servo servo;
+      ConfigRange config_range;
       switch (static_cast<Type>(parser.payload()[0])) {
         case Type::DRIVE:
           if (parse(body, n, &drive) == Result::DONE) {
@@ -94,6 +98,9 @@ int main(int argc, char** argv) {
           break;
         case Type::SERVO:
           parse(body, n, &servo);
+          break;
+        case Type::CONFIG_RANGE:
+          if (parse(body, n, &config_range) == Result::DONE) finder.configure(config_range);
           break;
         case Type::STOP:
           motors.stop();
@@ -117,6 +124,21 @@ int main(int argc, char** argv) {
     }
     ImuPacket packet;
     imu.take(&packet);
+    // So are the edges of the range sensor's wire. A measurement awaits two, and ends in time.
+    const uint32_t now_us = 1000 * now_ms;
+    if (finder.next(now_ms, now_us, below(4) == 0)) asked_us = now_us;
+    for (uint32_t edges = below(6), awaited = 0; edges > 0; --edges) {
+      awaited += finder.edge(now_us + below(1000));
+      if (awaited > 1) {
+        std::printf("more than two edges awaited after input %ld\n", i);
+        return 1;
+      }
+    }
+    RangePacket range;
+    if (finder.take(&range) && range.echo == Echo::HEARD && (range.echo_us > MAX_ECHO_US || range.t_us - asked_us > 100000)) {
+      std::printf("no such echo: %u us after input %ld\n", static_cast<unsigned>(range.echo_us), i);
+      return 1;
+    }
     if (motors.left() != 0 || motors.right() != 0 || motors.bridge() == Bridge::RUN) {
       std::printf("motion after input %ld\n", i);
       return 1;

@@ -15,6 +15,7 @@
 #include "../core/imu.h"
 #include "../core/motors.h"
 #include "../core/protocol.h"
+#include "../core/range.h"
 #include "../core/ring_buffer.h"
 
 using namespace sentinel;
@@ -68,6 +69,10 @@ static Bytes packed(const std::string& name) {
     n = pack_ack(0x14, Result::BAD_VALUE, out);
   } else if (name == "mega_time") {
     n = pack_time(0xDEADBEEFu, 1, out);
+  } else if (name == "range") {
+    n = pack(RangePacket{65535, 0xFFFFFFF0u, 5831, Echo::HEARD}, out);
+  } else if (name == "range_none") {
+    n = pack(RangePacket{1, 2, 0, Echo::NONE}, out);
   }
   return Bytes(out, out + n);
 }
@@ -77,8 +82,8 @@ static void test_crc_of_the_check_string() {
 }
 
 static void test_packed_messages_equal_the_golden_bytes() {
-  CHECK(golden.size() == 13);
-  for (const char* name : {"hello", "imu", "status", "ack", "mega_time"}) CHECK(packed(name) == golden[name].payload);
+  CHECK(golden.size() == 16);
+  for (const char* name : {"hello", "imu", "status", "ack", "mega_time", "range", "range_none"}) CHECK(packed(name) == golden[name].payload);
 }
 
 static void test_frames_equal_the_golden_bytes_and_parse_back() {
@@ -107,6 +112,8 @@ static void test_golden_commands_parse_to_their_values() {
   Servo servo;
   CHECK(parse(body("servo"), size("servo"), &servo) == Result::DONE);
   CHECK(servo.pan_us == 1500 && servo.tilt_us == 0);
+  ConfigRange range;
+  CHECK(parse(body("config_range"), size("config_range"), &range) == Result::DONE && range.period_ms == 100);
 }
 
 static void test_commands_out_of_range_are_refused() {
@@ -122,6 +129,11 @@ static void test_commands_out_of_range_are_refused() {
   Servo servo;
   const uint8_t beyond[4] = {0xC5, 0x09, 0, 0};  // 2501 us
   CHECK(parse(beyond, 4, &servo) == Result::BAD_VALUE);
+  ConfigRange range;
+  const uint8_t periods[4] = {0, 49, 250, 251};
+  CHECK(parse(periods, 1, &range) == Result::DONE && parse(periods + 1, 1, &range) == Result::BAD_VALUE);
+  CHECK(parse(periods + 2, 1, &range) == Result::DONE && parse(periods + 3, 1, &range) == Result::BAD_VALUE);
+  CHECK(parse(periods, 2, &range) == Result::BAD_LENGTH);
 }
 
 static void test_damage_costs_one_frame_and_an_overlong_one_is_dropped() {
@@ -530,6 +542,136 @@ static void test_a_sample_that_comes_during_a_burst_makes_it_uncertain_and_lost(
   CHECK(imu.lost() == 1);
 }
 
+// A finder at work: 1 ms steps, an HC-SR04 that raises ECHO so long after TRIG and holds it for so long (none: 0).
+struct Sonar {
+  RangeFinder finder;
+  uint32_t now_us = 0;
+  uint32_t answer_us = 450, echo_us = 2900;
+  bool is_held = false;
+  uint32_t asked_us = 0;
+  bool has_asked = false;
+  int triggers = 0, interrupts = 0;
+  std::vector<RangePacket> got;
+
+  explicit Sonar(uint8_t period_ms, uint32_t start_us = 0) : now_us(start_us) { finder.configure(ConfigRange{period_ms}); }
+
+  void run(uint32_t ms) {
+    bool awaits = false, rose = false, fell = false;
+    for (const uint32_t end_us = now_us + 1000 * ms; now_us != end_us; now_us += 50) {
+      if (has_asked && echo_us != 0 && now_us - asked_us >= answer_us && !rose) {
+        rose = true;
+        if (awaits && ++interrupts) awaits = finder.edge(asked_us + answer_us);
+      }
+      if (rose && !fell && now_us - asked_us >= answer_us + echo_us) {
+        fell = true;
+        if (awaits && ++interrupts) awaits = finder.edge(asked_us + answer_us + echo_us);
+      }
+      if (now_us % 1000 != 0) continue;
+      if (finder.next(now_us / 1000, now_us, is_held || (rose && !fell))) {
+        ++triggers;
+        has_asked = awaits = true;
+        rose = fell = false;
+        asked_us = now_us;
+      }
+      RangePacket packet;
+      if (finder.take(&packet)) got.push_back(packet);
+    }
+  }
+};
+
+static void test_no_sensor_is_asked_before_a_period_is_set() {
+  RangeFinder finder;
+  for (uint32_t ms = 0; ms < 1000; ++ms) CHECK(!finder.next(ms, 1000 * ms, false) && !finder.edge(1000 * ms));
+  RangePacket packet;
+  CHECK(!finder.take(&packet));
+}
+
+static void test_each_period_gives_one_echo_with_the_time_when_the_sound_turned_round() {
+  Sonar sonar(100);
+  sonar.run(1000);
+  CHECK(sonar.got.size() == 10 && sonar.triggers == 10 && sonar.interrupts == 20);
+  for (size_t i = 0; i < sonar.got.size(); ++i) {
+    CHECK(sonar.got[i].sequence == i && sonar.got[i].echo == Echo::HEARD && sonar.got[i].echo_us == 2900);
+    CHECK(sonar.got[i].t_us == 100000 * i + 450 + 1450);
+  }
+}
+
+static void test_echoes_are_measured_across_the_wrap_of_both_clocks() {
+  RangeFinder late;
+  late.configure(ConfigRange{100});
+  CHECK(late.next(0xFFFFFFFEu, 0xFFFFFF00u, false));
+  CHECK(late.edge(0xFFFFFF80u) && !late.edge(0x00000400u));
+  RangePacket packet;
+  CHECK(late.take(&packet) && packet.echo_us == 0x480 && packet.t_us == 0xFFFFFF80u + 0x240);
+  CHECK(!late.next(20, 0, false) && late.next(98, 0, false));
+}
+
+static void test_nothing_in_reach_is_told_and_the_next_is_asked_only_when_the_sensor_has_ended() {
+  Sonar sonar(50);
+  sonar.echo_us = 38000;
+  sonar.run(1000);
+  CHECK(sonar.got.size() == 20 && sonar.triggers == 20);
+  for (const RangePacket& packet : sonar.got) CHECK(packet.echo == Echo::NONE && packet.echo_us == 0);
+  sonar.echo_us = 200000;  // a copy
+  sonar.run(2010);
+  CHECK(sonar.got.size() >= 28 && sonar.got.size() <= 31);
+  CHECK(sonar.got.back().echo == Echo::NONE);
+  sonar.echo_us = MAX_ECHO_US + 50;  // known by its fall, before we give up
+  sonar.run(500);
+  CHECK(sonar.got.back().echo == Echo::NONE);
+  sonar.echo_us = MAX_ECHO_US;
+  sonar.run(500);
+  CHECK(sonar.got.back().echo == Echo::HEARD && sonar.got.back().echo_us == MAX_ECHO_US);
+}
+
+static void test_a_sensor_that_does_not_answer_is_told_and_asked_again() {
+  Sonar sonar(100);
+  sonar.echo_us = 0;  // no ECHO at all
+  sonar.run(500);
+  CHECK(sonar.got.size() == 5 && sonar.triggers == 5);
+  for (const RangePacket& packet : sonar.got) CHECK(packet.echo == Echo::SILENT);
+  sonar.is_held = true;  // unplugged: the pull-up
+  sonar.run(2000);
+  CHECK(sonar.triggers == 5 && sonar.got.size() >= 5 + 5 && sonar.got.back().echo == Echo::SILENT);
+  sonar.is_held = false;
+  sonar.echo_us = 1000;
+  sonar.run(500);
+  CHECK(sonar.got.back().echo == Echo::HEARD && sonar.got.back().echo_us == 1000);
+}
+
+static void test_an_echo_shorter_than_any_is_no_echo() {
+  Sonar sonar(100);
+  sonar.echo_us = 50;
+  sonar.run(300);
+  CHECK(sonar.got.size() == 3 && sonar.got.back().echo == Echo::SILENT);
+  sonar.echo_us = MIN_ECHO_US;
+  sonar.run(300);
+  CHECK(sonar.got.back().echo == Echo::HEARD && sonar.got.back().echo_us == MIN_ECHO_US);
+}
+
+static void test_edges_that_nobody_awaits_change_nothing() {
+  RangeFinder finder;
+  finder.configure(ConfigRange{100});
+  CHECK(finder.next(0, 0, false));
+  CHECK(finder.edge(500) && !finder.edge(1500));
+  for (uint32_t t = 1600; t < 90000; t += 100) CHECK(!finder.edge(t));
+  RangePacket packet;
+  CHECK(finder.take(&packet) && packet.echo_us == 1000 && !finder.take(&packet));
+  for (uint32_t t = 90000; t < 99000; t += 100) CHECK(!finder.edge(t));
+  CHECK(!finder.take(&packet));
+}
+
+static void test_a_repeated_range_setting_interrupts_no_measurement_and_none_ends_them() {
+  RangeFinder finder;
+  finder.configure(ConfigRange{100});
+  CHECK(finder.next(0, 0, false) && finder.edge(500));
+  finder.configure(ConfigRange{100});
+  RangePacket packet;
+  CHECK(!finder.edge(1500) && finder.take(&packet) && packet.echo_us == 1000);
+  finder.configure(ConfigRange{0});
+  for (uint32_t ms = 1; ms < 500; ++ms) CHECK(!finder.next(ms, 1000 * ms, false));
+}
+
 int main(int argc, char** argv) {
   if (argc != 2) return 2;
   load_golden(argv[1]);
@@ -563,6 +705,14 @@ int main(int argc, char** argv) {
       TEST(test_every_sample_is_sent_or_counted_as_lost),
       TEST(test_each_set_up_anew_leaves_a_hole_in_the_numbers),
       TEST(test_a_sample_that_comes_during_a_burst_makes_it_uncertain_and_lost),
+      TEST(test_no_sensor_is_asked_before_a_period_is_set),
+      TEST(test_each_period_gives_one_echo_with_the_time_when_the_sound_turned_round),
+      TEST(test_echoes_are_measured_across_the_wrap_of_both_clocks),
+      TEST(test_nothing_in_reach_is_told_and_the_next_is_asked_only_when_the_sensor_has_ended),
+      TEST(test_a_sensor_that_does_not_answer_is_told_and_asked_again),
+      TEST(test_an_echo_shorter_than_any_is_no_echo),
+      TEST(test_edges_that_nobody_awaits_change_nothing),
+      TEST(test_a_repeated_range_setting_interrupts_no_measurement_and_none_ends_them),
   };
   for (const auto& test : tests) {
     const int before = failures;

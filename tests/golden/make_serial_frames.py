@@ -18,6 +18,9 @@ EXAMPLES: list[tuple[str, bytes]] = [
     ("config_imu", sp.pack(sp.ConfigImu(3, 0, 7, 1, 9))),
     ("config_motors", sp.pack(sp.ConfigMotors(True, 4, 10, 6400))),
     ("servo", sp.pack(sp.Servo(1500, 0))),
+    ("range", sp.pack(sp.RangePacket(65535, 0xFFFFFFF0, 5831, sp.Echo.HEARD))),
+    ("range_none", sp.pack(sp.RangePacket(1, 2, 0, sp.Echo.NONE))),
+    ("config_range", sp.pack(sp.ConfigRange(100))),
 ]
 
 if __name__ == "__main__":

@@ -30,6 +30,8 @@ def test_messages_pack_to_the_golden_payloads() -> None:
     assert sp.pack(sp.Drive(-1000, 250, 70300, 513)) == payload["drive"]
     assert sp.pack(sp.Servo(1500, 0)) == payload["servo"]
     assert sp.pack(sp.ConfigMotors(True, 4, 10, 6400)) == payload["config_motors"]
+    assert sp.pack(sp.ConfigRange(100)) == payload["config_range"]
+    assert sp.parse(payload["range"]) == sp.RangePacket(65535, 0xFFFFFFF0, 5831, sp.Echo.HEARD)
     assert sp.parse(payload["hello"]) == sp.Hello(2, 2, 0, 8, 0x69, 0xEA, 1, 1, 3, 3, 4, 513)
     status = sp.parse(payload["status"])
     assert isinstance(status, sp.Status) and (status.left, status.battery_mv, status.stack_free) == (-1000, 7400, 6000)

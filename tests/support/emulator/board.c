@@ -1,6 +1,6 @@
-/* Emulated board of the Sentinel robot: an ATmega2560 (libsimavr) runs the real ELF; an ICM-20948 hangs on its I2C, its UART
- * ends in a pty or a file, and its motor pins are decoded into duty. Test-only; libsimavr is GPL-3, so is this program's
- * binary, and nothing else links to it.
+/* Emulated board of the Sentinel robot: an ATmega2560 (libsimavr) runs the real ELF; an ICM-20948 hangs on its I2C, an HC-SR04
+ * on two pins, its UART ends in a pty or a file, and its motor pins are decoded into duty. Test-only; libsimavr is GPL-3, so
+ * is this program's binary, and nothing else links to it.
  *
  *   board --elf F --out F --script F --seconds S [--pins F]     batch: virtual time only, bit-identical runs
  *                                                               [--boot HEX: starts there, as a stock Mega does]
@@ -133,6 +133,8 @@ static void command(const char *line) {
     adc((int)number);
   } else if (!strcmp(word, "driver_fault")) {
     avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('H'), 5), number != 0 ? 0 : 1);
+  } else if (!strcmp(word, "range")) {
+    range_command(rest);
   } else if (!strcmp(word, "hang")) {
     want_hang = strcmp(rest, "off") ? 1 : 2;
   } else if (!strcmp(word, "reset")) {
@@ -234,6 +236,7 @@ static void start_timers(void) {
   avr_cycle_timer_register(avr, (avr_cycle_count_t)(FREQUENCY / 1000), each_millisecond, NULL);
   i2c_reset();
   serial_reset();
+  range_reset();
 }
 
 static void on_reset(struct avr_t *a) {
@@ -335,6 +338,7 @@ int main(int argc, char **argv) {
   avr->reset = on_reset;
   i2c_attach();
   pins_attach();
+  range_attach();
   serial_attach();
   if (options.script) {
     script = fopen(options.script, "r");
@@ -363,10 +367,10 @@ int main(int argc, char **argv) {
   }
   printf("{\"virtual_s\": %.6f, \"samples\": %llu, \"bytes_out\": %llu, \"bytes_in\": %llu, \"bytes_lost\": %llu, \"resets\": %d, "
          "\"stack_free\": %d, \"left\": %d, \"right\": %d, \"late_max_ms\": %.1f, \"least_delay_us\": %.0f, "
-         "\"interrupts_off_us\": %.1f}\n",
+         "\"interrupts_off_us\": %.1f, \"measurements\": %llu}\n",
          now_us() / 1e6, (unsigned long long)chip.samples, (unsigned long long)bytes_out, (unsigned long long)bytes_in,
          (unsigned long long)bytes_lost, resets, painted_bytes(), duty_left, duty_right, (double)late_max_ns / 1e6, least_delay_us,
-         interrupts_off_us);
+         interrupts_off_us, (unsigned long long)range_measurements());
   serial_close();
   return quit == 1 ? 0 : quit;
 }

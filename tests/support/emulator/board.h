@@ -44,4 +44,10 @@ void pins_reset(void);
 void pins_window(void); /* once per millisecond */
 extern int duty_left, duty_right;
 
+/* range.c */
+void range_attach(void);
+void range_reset(void); /* after the MCU's */
+void range_command(const char *rest);
+uint64_t range_measurements(void);
+
 double random_unit(void);

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from shared import serial_protocol as sp
@@ -39,15 +39,19 @@ def script_of(name: str, at: float) -> list[tuple[float, str]]:
     return []
 
 
-def run(name: str, count: int, rng: random.Random) -> Iterator[Judged]:
-    """So many faults of one kind, each when its board has come to its end."""
+def run(
+    name: str, count: int, rng: random.Random, beside: Sequence[tuple[float, str]] = ()
+) -> Iterator[Judged]:
+    """So many faults of one kind, each when its board has come to its end. `beside`: what else a board is told."""
     at_once = 1 if STARTS_AGAIN in name else AT_ONCE
     for begin in range(0, count, at_once):
-        yield from _on_one_board(name, min(at_once, count - begin), rng)
+        yield from _on_one_board(name, min(at_once, count - begin), rng, beside)
 
 
-def _on_one_board(name: str, count: int, rng: random.Random) -> list[Judged]:
-    script: list[tuple[float, str]] = []
+def _on_one_board(
+    name: str, count: int, rng: random.Random, beside: Sequence[tuple[float, str]]
+) -> list[Judged]:
+    script = list(beside)
     faults = []
     for i in range(count):
         start = 1.0 + 1.5 * i
