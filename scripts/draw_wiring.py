@@ -45,6 +45,10 @@ WIRES = [
     Wire("12 (OC1B)", "Pan-tilt", "tilt signal", "", SERVO),
     Wire("GND", "Pan-tilt", "GND", "", GROUND),
     Wire("A0", "Battery divider", "middle", "100 kOhm to battery +, 33 kOhm to GND", SENSE),
+    Wire("5V", "HC-SR04 (optional)", "VCC (5 V)", "hears how far the next thing ahead is", POWER),
+    Wire("49", "HC-SR04 (optional)", "TRIG", "", SENSE),
+    Wire("48 (ICP5)", "HC-SR04 (optional)", "ECHO", "5 V, as the Mega's pins take it", SENSE),
+    Wire("GND", "HC-SR04 (optional)", "GND", "", GROUND),
     Wire("USB-B", "Raspberry Pi 4B", "USB-A", "500 kBd and the Mega's power", POWER),
 ]
 

@@ -19,6 +19,8 @@ MAX_IMAGE_SIDE_PX = 8192
 Side = Annotated[int, msgspec.Meta(ge=1, le=MAX_IMAGE_SIDE_PX)]
 IDENTITY = (1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1)
 MAX_DEPTH_SIDE_PX = 2048  # no depth camera has more
+# Half a pixel's width by the distance. Zones of a VL53L5CX have 0.05 (8 x 8) or 0.1 (4 x 4), an HC-SR04 0.27.
+MAX_RAY_SPREAD = 0.15
 MAX_SHIFT_S = 10.0  # between the clocks of one robot's sensors; more is a mistake of units
 MAX_LINE_DELAY_S = 0.01  # a row every 10 ms would take seconds for one image
 # Beyond these no phone, fisheye or telescope goes: a number is in the wrong place or unit.
@@ -125,7 +127,8 @@ class CameraCalibration(msgspec.Struct, frozen=True, kw_only=True):
 class DepthCalibration(msgspec.Struct, frozen=True, kw_only=True):
     """A depth sensor, as a pinhole camera without distortion whose pixels are distances along its axis.
 
-    A depth camera has many pixels, a time-of-flight sensor as the VL53L5CX 8 x 8. It is fixed to the body.
+    A depth camera has many pixels, a time-of-flight sensor as the VL53L5CX 8 x 8, an HC-SR04 one. It is fixed to the
+    body.
     """
 
     width: Side
@@ -154,6 +157,11 @@ class DepthCalibration(msgspec.Struct, frozen=True, kw_only=True):
     def T_body_depth_matrix(self) -> FloatArray:
         """(4, 4), maps the sensor's coordinates (z along its axis, x right, y down) to body coordinates."""
         return np.array(self.T_body_depth, dtype=np.float64).reshape(4, 4)
+
+    @property
+    def is_cone(self) -> bool:
+        """Whether its pixels are so wide that they tell how near the nearest thing in them is, but not where."""
+        return 0.5 / min(self.fx, self.fy) > MAX_RAY_SPREAD
 
     def thinned(self, step: int) -> DepthCalibration:
         """Of every step-th pixel of every step-th row, from the middle of the first step x step pixels on."""

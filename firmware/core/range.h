@@ -27,6 +27,8 @@ class RangeFinder {
   // True once per measurement.
   bool take(RangePacket* packet);
   void configure(const ConfigRange& config);
+  // Main loop only, which alone configures.
+  bool is_on() const { return period_ms_ != 0; }
 
  private:
   enum class Phase : uint8_t { IDLE, ASKED, SOUNDS, ENDED };

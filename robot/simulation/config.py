@@ -43,7 +43,8 @@ class DepthSensorModel(Section, frozen=True, kw_only=True):
     """A depth sensor beside the camera, that sees what the camera sees. By default the robot has none."""
 
     rate_hz: Annotated[float, Meta(ge=0, le=30)] = 0.0  # 0: it has none
-    columns: Annotated[int, Meta(ge=2, le=640)] = 64  # across the camera's picture; 8: the zones of a VL53L5CX
+    # Across the camera's picture; 8: the zones of a VL53L5CX; 1: as an HC-SR04, the nearest thing in all of it
+    columns: Annotated[int, Meta(ge=1, le=640)] = 64
     noise: Annotated[float, Meta(ge=0, lt=1)] = 0.01  # standard deviation, as a share of the distance
     max_m: Annotated[float, Meta(gt=0, le=60)] = 4.0  # beyond, nothing is measured
 

@@ -8,6 +8,7 @@ import numpy as np
 from robot.simulation.config import DepthSensorModel
 from robot.simulation.renderer import Float32Array
 from shared.calibration import CameraCalibration, DepthCalibration
+from shared.geometry import FloatArray
 
 
 def depth_calibration(camera: CameraCalibration, model: DepthSensorModel) -> DepthCalibration:
@@ -23,6 +24,27 @@ def depth_calibration(camera: CameraCalibration, model: DepthSensorModel) -> Dep
         cy=(camera.cy - first) / step,
         T_body_depth=camera.T_body_cam,
     )
+
+
+class _Cone:
+    """An HC-SR04 in the camera's place: the nearest thing that sends its sound back. Lenses bend its cone by little.
+
+    Everything sends it back, whichever way it faces, but the floor: along that, sound goes on.
+    """
+
+    EVERY = 8  # of so many pixels one is looked at: 1.5 cm at 2 m
+    FLOOR_M = 0.2  # what lies so deep below the camera
+
+    def __init__(self, camera: CameraCalibration) -> None:
+        v, u = np.mgrid[0 : camera.height : self.EVERY, 0 : camera.width : self.EVERY].astype(np.float64)
+        self._down = (v - camera.cy) / camera.fy
+        self._way = np.sqrt(1.0 + ((u - camera.cx) / camera.fx) ** 2 + self._down**2)  # by the depth
+
+    def nearest(self, inverse_depth: Float32Array) -> FloatArray:
+        """(1,) 1/m."""
+        w = inverse_depth[:: self.EVERY, :: self.EVERY].astype(np.float64)
+        stands = self._down < self.FLOOR_M * w
+        return np.array([np.max(w / self._way, initial=0.0, where=stands)])
 
 
 class SimulatedDepth:
@@ -41,11 +63,15 @@ class SimulatedDepth:
         self._inside = (x >= 0) & (y >= 0) & (x < built.width) & (y < built.height)
         self._at = y.clip(0, built.height - 1), x.clip(0, built.width - 1)
         self._shape = told.height, told.width
+        self._cone = _Cone(built) if told.is_cone else None
 
     def measure(self, inverse_depth: Float32Array) -> bytes:
         """A PNG of 16 bit grey, mm. inverse_depth (H, W): of the camera's rendering, 1/m, 0 where nothing is seen."""
-        w = inverse_depth[self._at].astype(np.float64)
-        sees = self._inside & (w > 1.0 / self._model.max_m)
+        if self._cone is None:
+            w = np.where(self._inside, inverse_depth[self._at], 0.0).astype(np.float64)
+        else:
+            w = self._cone.nearest(inverse_depth)
+        sees = w > 1.0 / self._model.max_m
         z = 1.0 / np.where(sees, w, 1.0) * (1.0 + self._model.noise * self._rng.standard_normal(len(w)))
         millimetres = np.where(sees, np.round(1000.0 * z), 0.0).clip(0, 65534).astype(np.uint16)
         ok, png = cv2.imencode(".png", millimetres.reshape(self._shape))

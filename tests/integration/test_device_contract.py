@@ -12,13 +12,17 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
+import cv2
+import msgspec
+import numpy as np
 import pytest
 import pytest_asyncio
 
 from robot.config import PiConfig, load_config
 from robot.devices.emulated import EmulatedBoard, EmulatedImu, open_emulated
 from robot.devices.pi import gpio_parts, open_pi
-from robot.devices.ports import Camera, CapturedFrame, DeviceSet, Imu, ImuReading
+from robot.devices.pi.hc_sr04 import HcSr04, calibration_of
+from robot.devices.ports import Camera, CapturedDepth, CapturedFrame, DepthSensor, DeviceSet, Imu, ImuReading
 from robot.devices.recorded import open_recorded
 from robot.devices.simulated import open_simulated
 from robot.simulation.config import SimulationConfig
@@ -27,6 +31,7 @@ from robot.simulation.routes import plan_route
 from robot.simulation.worlds import make_world
 from shared.calibration import REFERENCE_ROBOT
 from shared.errors import DeviceLost
+from shared.pictures import depth_png
 from tests.support import mock_gpio, pi_stubs
 from tests.support.emulator import board
 
@@ -271,3 +276,56 @@ async def test_an_emulated_robot_tells_what_its_mega_complains_of(tmp_path: Path
             assert devices.motors is not None
             devices.motors.close()
             await devices.imu.close()
+
+
+async def test_a_simulated_range_goes_through_the_firmware_of_the_emulated_mega(tmp_path: Path) -> None:
+    """World → echo at the emulated sensor → real firmware → serial line → adapter: the same distance."""
+    if (reason := board.missing_reason()) is not None:
+        pytest.skip(reason)
+    board.build()
+    sonar = PlayedDepth()
+    calibration = msgspec.structs.replace(REFERENCE_ROBOT, depth=calibration_of((0.2, 0.0, 0.0)))
+    devices = open_emulated(DeviceSet(calibration=calibration, camera=None, imu=None, motors=None, depth=sonar))
+    assert isinstance(devices.depth, HcSr04) and devices.imu is not None
+    try:
+        for millimetres in (300, 1500, 0, 3500):
+            sonar.millimetres = millimetres
+            await until(lambda m=millimetres: sonar.given >= 2 and sonar.last == m)  # it hangs before the sensor
+            for _ in range(2):  # begun before that, at most
+                with contextlib.suppress(DeviceLost):  # nothing was plugged in yet
+                    await devices.depth.measure()
+            depth = await devices.depth.measure()
+            [[found]] = cv2.imdecode(np.frombuffer(depth.png, np.uint8), cv2.IMREAD_UNCHANGED).tolist()
+            assert found == pytest.approx(millimetres, rel=0.005, abs=1)
+        sonar.is_broken = True
+        await until(lambda: sonar.given == 0)
+        with pytest.raises(DeviceLost, match="does not answer"):
+            await asyncio.wait_for(_measure_on(devices.depth), WAIT_S)
+    finally:
+        await devices.imu.close()
+
+
+async def _measure_on(sensor: DepthSensor) -> None:
+    while True:
+        await sensor.measure()
+
+
+class PlayedDepth:
+    """A sensor before which a test puts something."""
+
+    def __init__(self) -> None:
+        self.millimetres = self.last = 1000
+        self.given = 0
+        self.is_broken = False
+
+    async def measure(self) -> CapturedDepth:
+        await asyncio.sleep(0.02)
+        if self.is_broken:
+            self.given = 0
+            raise DeviceLost("broken")
+        if self.last != self.millimetres:
+            self.given, self.last = 0, self.millimetres
+        self.given += 1
+        return CapturedDepth(time.monotonic_ns(), depth_png(np.array([[self.last]], dtype=np.uint16)))
+
+    async def close(self) -> None: ...

@@ -1,4 +1,4 @@
-"""The HC-SR04 at the real firmware binary in the emulated board: what it measures, and that it holds up nothing else."""
+"""The HC-SR04 at the real firmware in the emulated board: what it measures, and that it holds up nothing else."""
 
 import random
 from itertools import pairwise
@@ -116,7 +116,9 @@ def test_neither_the_loop_nor_the_interrupts_wait_for_it(tmp_path: Path, state: 
 
 def test_a_flood_costs_answers_and_no_measurement(tmp_path: Path) -> None:
     flood = "uart " + sp.encode(sp.AskTime(1)).hex() * 40
-    done = board.batch(tmp_path, 3.0, [(0.4, "range echo 2900"), OFTEN, *[(1.1 + 0.015 * i, flood) for i in range(100)]])
+    done = board.batch(
+        tmp_path, 3.0, [(0.4, "range echo 2900"), OFTEN, *[(1.1 + 0.015 * i, flood) for i in range(100)]]
+    )
     found = ranges(done)
     assert [p.sequence for p in found] == list(range(len(found))) and len(found) >= 49
     assert_no_sample_is_lost(done)

@@ -12,6 +12,8 @@ import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+import msgspec
+
 from robot.devices.pi.kinematics import DriveGeometry
 from robot.devices.pi.mega import Mega
 from robot.devices.pi.mega_parts import MegaMotors
@@ -22,6 +24,7 @@ from shared.errors import DeviceLost, DeviceUnavailable
 WAIT_S = 20.0
 UNHEARD = -1
 UNTIL_NS = 250_000_000
+UNKNOWN_TYPE = 3
 SETTINGS = {sp.encode(sp.ConfigImu()): sp.Type.CONFIG_IMU, sp.encode(sp.ConfigMotors()): sp.Type.CONFIG_MOTORS}
 STATUS = sp.Status(100, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 7400, 0, 0, 100, 6000)
 
@@ -37,7 +40,16 @@ def imu(sequence: int) -> sp.ImuPacket:
 class FakeLine:
     """Gives what tests put in. Says hello at its start and when asked, and confirms its settings."""
 
-    def __init__(self, boot_id: int | None, *, results: tuple[int, ...] = (), is_mute: bool = False) -> None:
+    def __init__(
+        self,
+        boot_id: int | None,
+        *,
+        results: tuple[int, ...] = (),
+        is_mute: bool = False,
+        unknown: tuple[sp.Command, ...] = (),
+    ) -> None:
+        """`unknown`: commands that this firmware is too old for."""
+        self._unknown = [sp.encode(command) for command in unknown]
         self.boot_id = boot_id  # None: nobody there
         self.incoming: queue.Queue[bytes | Exception] = queue.Queue()
         self.written: list[bytes] = []
@@ -65,7 +77,9 @@ class FakeLine:
         self.written.append(data)
         if data == sp.encode(sp.AskHello()) and self.boot_id is not None:
             self.say(hello(self.boot_id), STATUS)
-        if data in SETTINGS:
+        if data in self._unknown:
+            self.say(sp.Ack(sp.cobs_decode(data[:-1])[0], UNKNOWN_TYPE))  # type: ignore[index]
+        elif data in SETTINGS:
             result = self._results.pop(0) if self._results else 0
             if result != UNHEARD:
                 self.say(sp.Ack(SETTINGS[data], result))
@@ -74,7 +88,9 @@ class FakeLine:
 
 
 @contextmanager
-def opened(*lines: FakeLine, now_ns: Callable[[], int] = time.monotonic_ns) -> Iterator[Mega]:
+def opened(
+    *lines: FakeLine, now_ns: Callable[[], int] = time.monotonic_ns, range_sensor: sp.ConfigRange | None = None
+) -> Iterator[Mega]:
     waiting = list(lines)
 
     def open_line() -> FakeLine:
@@ -82,11 +98,16 @@ def opened(*lines: FakeLine, now_ns: Callable[[], int] = time.monotonic_ns) -> I
             raise DeviceUnavailable("no such device")
         return waiting.pop(0)
 
-    mega = Mega(open_line, sp.ConfigImu(), sp.ConfigMotors(), now_ns)
+    mega = Mega(open_line, sp.ConfigImu(), sp.ConfigMotors(), now_ns, range_sensor=range_sensor)
     try:
         yield mega
     finally:
         mega.close()
+
+
+def reports(line: FakeLine, count: int) -> None:
+    """What a Mega says of itself in so many tenths of a second."""
+    line.say(*(msgspec.structs.replace(STATUS, uptime_ms=STATUS.uptime_ms + 100 * k) for k in range(1, count + 1)))
 
 
 def until(condition: Callable[[], object]) -> None:

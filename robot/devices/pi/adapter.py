@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 
 from robot.config import PiConfig
+from robot.devices.pi.hc_sr04 import PERIOD, HcSr04, calibration_of
 from robot.devices.pi.kinematics import DriveGeometry
 from robot.devices.pi.mega import Mega
 from robot.devices.pi.mega_parts import MegaBattery, MegaImu, MegaMotors, MegaPanTilt
@@ -26,7 +27,7 @@ def open_pi(config: PiConfig, own: Calibration | None = None) -> DeviceSet:
     """
     check(config)
     with contextlib.ExitStack() as undo:
-        mega = Mega(lambda: PySerialLine(config.serial_port), *mega_settings(config)) if uses_mega(config) else None
+        mega = _open_mega(config) if uses_mega(config) else None
         if mega is not None:
             undo.callback(mega.close)
         motors, pan_tilt = _open_motion(config, mega, undo)
@@ -35,6 +36,7 @@ def open_pi(config: PiConfig, own: Calibration | None = None) -> DeviceSet:
             camera=open_camera(config) if config.camera else None,
             imu=MegaImu(mega) if mega is not None and config.imu else None,
             motors=motors,
+            depth=HcSr04(mega) if mega is not None and config.depth == "hc-sr04" else None,
             pan_tilt=pan_tilt,
             battery=_open_battery(config, mega),
             problems=dict if mega is None else mega.problems,
@@ -55,7 +57,12 @@ def check(config: PiConfig) -> None:
 
 def uses_mega(config: PiConfig) -> bool:
     """Whether any part is wired to the Mega."""
-    return config.imu or "mega" in (config.motors, config.pan_tilt, config.battery)
+    return config.imu or config.depth == "hc-sr04" or "mega" in (config.motors, config.pan_tilt, config.battery)
+
+
+def _open_mega(config: PiConfig) -> Mega:
+    range_sensor = PERIOD if config.depth == "hc-sr04" else None
+    return Mega(lambda: PySerialLine(config.serial_port), *mega_settings(config), range_sensor=range_sensor)
 
 
 def mega_settings(config: PiConfig) -> tuple[ConfigImu, ConfigMotors]:
@@ -80,6 +87,8 @@ def load_calibration(config: PiConfig, own: Calibration | None = None) -> Calibr
         ConfigError: it is of pictures of another size.
     """
     calibration = own or msgspec.structs.replace(REFERENCE_ROBOT, camera=_camera_of(config), imu=_imu_of(config))
+    depth = calibration_of(config.depth_position_m) if config.depth == "hc-sr04" else msgspec.UNSET
+    calibration = msgspec.structs.replace(calibration, depth=depth)  # no calibration measures it
     camera = calibration.camera
     if config.camera and camera is not None:
         size = (camera.width, camera.height)

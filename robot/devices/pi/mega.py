@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 from robot.devices.mailbox import Mailbox
 from robot.devices.pi.mega_clock import MegaClock
@@ -28,6 +29,8 @@ MAY_SPEAK_NS = 200_000_000  # a firmware that runs is never silent for so long
 UPTIME_WRAP_MS = 1 << 32
 MAX_READINGS = 225  # a second's worth, as the port says
 
+Reading = TypeVar("Reading")
+
 
 @dataclass(frozen=True, slots=True)
 class ReportedUptime:
@@ -42,6 +45,15 @@ class ReportedUptime:
         return (self.uptime_ms + (t_ns - self.heard_ns) // 1_000_000) & 0xFFFFFFFF
 
 
+@dataclass(frozen=True, slots=True)
+class RangeReading:
+    """One measurement of the HC-SR04."""
+
+    t_robot_ns: int  # when the sound turned round
+    echo: int  # as `Echo` says
+    echo_us: int  # there and back; 0 where none was heard
+
+
 class Mega:
     """A running firmware at the other end. Methods may be called from any thread."""
 
@@ -51,14 +63,16 @@ class Mega:
         imu: sp.ConfigImu,
         motors: sp.ConfigMotors,
         now_ns: Callable[[], int] = time.monotonic_ns,
+        *,
+        range_sensor: sp.ConfigRange | None = None,
     ) -> None:
-        """Opens the line and waits for the firmware's hello.
+        """Opens the line and waits for the firmware's hello. `range_sensor`: None: it has none.
 
         Raises:
             DeviceUnavailable: no line, or nobody with our protocol at its other end.
         """
         self._open_line = open_line
-        self._settings = Settings(imu, motors)
+        self._settings = Settings(imu, motors, range_sensor)
         self._health = MegaHealth()
         self._now_ns = now_ns
         self._write_lock = threading.Lock()
@@ -68,6 +82,7 @@ class Mega:
         self._decoder = sp.SerialDecoder()
         self._clock = MegaClock()
         self._readings: Mailbox[ImuReading] = Mailbox(MAX_READINGS)
+        self._ranges: Mailbox[RangeReading] = Mailbox(1)
         self._next_sequence = 0  # of our own count, which goes on when the Mega starts anew
         self._sequence_offset: int | None = None
         self._closed = threading.Event()
@@ -139,15 +154,22 @@ class Mega:
             DeviceLost: the line is lost, or the Mega has run for SILENCE_S by its own clock and taken none. An emulated
                 Mega on a busy machine runs slower than ours: its sensor gets the time that it gets.
         """
+        return await self._wait(self._readings, self._why_silent)
+
+    async def wait_range(self) -> RangeReading:
+        """The next measurement of the range sensor. Raises DeviceLost as `wait_readings` does."""
+        return (await self._wait(self._ranges, self._why_no_range))[-1]
+
+    async def _wait(self, mailbox: Mailbox[Reading], why_silent: Callable[[], str]) -> list[Reading]:
         asked_ms = self._uptime_ms
         while True:
             try:
                 async with asyncio.timeout(SILENCE_S):  # wait_for may swallow a cancellation before Python 3.12
-                    return await self._readings.get()
+                    return await mailbox.get()
             except TimeoutError:
                 ran_ms = self._uptime_ms - asked_ms
                 if self.lost or not 0 <= ran_ms < SILENCE_S * 1e3:
-                    raise DeviceLost(self._why_silent()) from None
+                    raise DeviceLost(why_silent()) from None
 
     def close(self) -> None:
         """Stop the motors and leave the line. Safe to call twice."""
@@ -169,6 +191,11 @@ class Mega:
         if self.status is not None and self.status.flags & sp.Flag.IMU_MISSING:
             return "the Mega finds no ICM-20948; check its four wires (SDA 20, SCL 21, 3.3 V, GND)"
         return "the IMU gives no samples; check the wire from its INT to Mega pin 2"
+
+    def _why_no_range(self) -> str:
+        if self._settings.is_older:
+            return "the Mega's firmware is too old for an HC-SR04; flash it: make -C firmware upload"
+        return self.lost or "the Mega measures no range; restart robot-server"
 
     # The reading thread, and the constructor before it runs.
 
@@ -288,6 +315,9 @@ class Mega:
             self._new_start.hear(time.monotonic())
         if isinstance(message, sp.ImuPacket):
             self._take_imu(message, now_ns)
+        elif isinstance(message, sp.RangePacket):
+            t_robot_ns = self._clock.at(message.t_us, now_ns)
+            self._ranges.put(RangeReading(t_robot_ns, message.echo, message.echo_us))
         elif isinstance(message, sp.Status):
             self._take_status(message, now_ns)
         elif isinstance(message, sp.Ack):

@@ -25,14 +25,23 @@ class MegaClock:
         """How much faster the Mega's resonator runs than our clock; None before the first arrival."""
         return None if self._clock.fit is None else self._clock.fit.drift_ppm
 
+    def at(self, t_us: int, t_arrival_ns: int) -> int:
+        """Our time of a stamp within half a wrap of the last one; its arrival while no sample has told the clock."""
+        if self._last_us is None or self._clock.fit is None:
+            return t_arrival_ns
+        return self._clock.fit.to_local_ns(1000 * self._unwrapped(t_us, self._last_us))
+
     def stamp(self, t_us: int, t_arrival_ns: int) -> int:
         """Our time of the Mega's stamp `t_us`, whose packet arrived at `t_arrival_ns`. Never runs backwards."""
-        before_us = t_us if self._last_us is None else self._last_us
-        # With as many wraps as it takes to lie next to the one before.
-        self._last_us = before_us + (t_us - before_us + WRAP // 2) % WRAP - WRAP // 2
+        self._last_us = t_us if self._last_us is None else self._unwrapped(t_us, self._last_us)
         t_mega_ns = self._last_us * 1000
         self._clock.add(t_mega_ns, t_arrival_ns - self._least_delay_ns)
         fit = self._clock.fit
         assert fit is not None
         self._last_ns = max(self._last_ns + 1, fit.to_local_ns(t_mega_ns))
         return self._last_ns
+
+    @staticmethod
+    def _unwrapped(t_us: int, before_us: int) -> int:
+        """With as many wraps as it takes to lie next to the one before."""
+        return before_us + (t_us - before_us + WRAP // 2) % WRAP - WRAP // 2

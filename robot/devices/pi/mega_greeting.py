@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 
-from shared.serial_protocol import Ack, Command, ConfigImu, ConfigMotors, Type
+from shared.serial_protocol import Ack, Command, ConfigImu, ConfigMotors, ConfigRange, Type
 
 BOOT_S = 2.5  # the bootloader has left by then, if nobody spoke to it
 RUNS_S = 0.5  # a frame so fresh shows that the firmware runs and not the bootloader
 ASK_PERIOD_S = 1.0
 QUIET_S = 10.0  # a bootloader that was spoken to gives up before that
 CONFIRM_S = 1.0  # a configuration that is not confirmed for so long is said again
-DONE = 0
+DONE, UNKNOWN_TYPE = 0, 3
 
 
 class AskPlan:
@@ -45,11 +45,14 @@ class AskPlan:
 class Settings:
     """The configuration commands, each repeated until the firmware says that it is done."""
 
-    def __init__(self, imu: ConfigImu, motors: ConfigMotors) -> None:
+    def __init__(self, imu: ConfigImu, motors: ConfigMotors, range_sensor: ConfigRange | None = None) -> None:
         self._commands: dict[int, Command] = {Type.CONFIG_IMU: imu, Type.CONFIG_MOTORS: motors}
+        if range_sensor is not None:
+            self._commands[Type.CONFIG_RANGE] = range_sensor
         self._open: set[int] = set(self._commands)
         self._said_s = 0.0
         self.refused = ""  # which the firmware does not take, in a sentence
+        self.is_older = False  # it knows no range sensor, and does without
 
     @property
     def motors_are_set(self) -> bool:
@@ -65,6 +68,7 @@ class Settings:
         self._open = set(self._commands)
         self._said_s = -CONFIRM_S
         self.refused = ""
+        self.is_older = False
 
     def due(self, now_s: float) -> list[Command]:
         """What to say now; it is then taken as said."""
@@ -79,6 +83,9 @@ class Settings:
         if ack.result == DONE:
             self._open.discard(ack.asked)
             self.refused = ""
+        elif ack.asked == Type.CONFIG_RANGE and ack.result == UNKNOWN_TYPE:
+            self._open.discard(ack.asked)
+            self.is_older = True
         else:
             name = type(self._commands[ack.asked]).__name__
             self.refused = f"the Mega refuses {name} (result {ack.result}); flash it: make -C firmware upload"

@@ -38,7 +38,12 @@ class DepthLog:
         self._every = self._waits = 1  # of so many pictures one is kept; until the next one
 
     def add(self, frame: DepthFrame) -> None:
-        """In time order. Raises DataError when it cannot be decoded, or another sensor took it."""
+        """In time order. Raises DataError when it cannot be decoded, or another sensor took it.
+
+        Of a cone nobody knows where in it the thing is: it says nothing of walls, nor of single landmarks.
+        """
+        if frame.sensor.is_cone:
+            return
         if self._sensor not in (None, frame.sensor):
             raise DataError(f"depth picture {frame.name or frame.t_robot_ns} is of another sensor than those before it")
         self._sensor = frame.sensor

@@ -39,18 +39,14 @@ def script_of(name: str, at: float) -> list[tuple[float, str]]:
     return []
 
 
-def run(
-    name: str, count: int, rng: random.Random, beside: Sequence[tuple[float, str]] = ()
-) -> Iterator[Judged]:
+def run(name: str, count: int, rng: random.Random, beside: Sequence[tuple[float, str]] = ()) -> Iterator[Judged]:
     """So many faults of one kind, each when its board has come to its end. `beside`: what else a board is told."""
     at_once = 1 if STARTS_AGAIN in name else AT_ONCE
     for begin in range(0, count, at_once):
         yield from _on_one_board(name, min(at_once, count - begin), rng, beside)
 
 
-def _on_one_board(
-    name: str, count: int, rng: random.Random, beside: Sequence[tuple[float, str]]
-) -> list[Judged]:
+def _on_one_board(name: str, count: int, rng: random.Random, beside: Sequence[tuple[float, str]]) -> list[Judged]:
     script = list(beside)
     faults = []
     for i in range(count):

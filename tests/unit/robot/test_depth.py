@@ -102,3 +102,26 @@ def test_a_simulated_sensor_is_noisy_and_sees_no_further_than_it_can() -> None:
     assert (image[:23] == 0).all()
     assert np.std(image[25:] / 2000.0) == pytest.approx(0.02, rel=0.1)
     assert np.mean(image[25:]) == pytest.approx(2000, rel=0.003)
+
+
+def test_a_simulated_cone_hears_the_nearest_thing_that_stands_in_it() -> None:
+    model = DepthSensorModel(columns=1, noise=0.0, max_m=4.0)
+    told = depth_calibration(PINHOLE, model)
+    assert told.is_cone and (told.width, told.height) == (1, 1)
+    sensor = SimulatedDepth(told, PINHOLE, model, 1)
+
+    def heard(inverse_depth: np.ndarray) -> int:
+        return int(cv2.imdecode(np.frombuffer(sensor.measure(inverse_depth), np.uint8), cv2.IMREAD_UNCHANGED)[0, 0])
+
+    wall = np.full((480, 640), 0.5, np.float32)
+    assert heard(wall) == pytest.approx(2000, abs=2)
+    wall[100:140, 8:16] = 1.0  # a leg at 1 m, at the edge: its way is longer than its depth
+    assert (
+        1000
+        < heard(wall)
+        == pytest.approx(1000 * np.hypot(1.0, np.hypot((12 - PINHOLE.cx), 120 - PINHOLE.cy) / 1083), rel=0.01)
+    )
+    v = np.arange(480.0)[:, None] - PINHOLE.cy
+    floor = np.broadcast_to(np.maximum(v, 0.0) / PINHOLE.fy / 0.25, (480, 640)).astype(np.float32)
+    assert heard(floor) == 0 and heard(np.maximum(floor, 0.4).astype(np.float32)) == pytest.approx(2500, abs=2)
+    assert heard(np.full((480, 640), 0.2, np.float32)) == 0

@@ -1,5 +1,7 @@
 """How the Pi meets a Mega: its hello, its bootloader, its settings, and a start anew."""
 
+import asyncio
+
 import pytest
 
 from robot.devices.pi import mega as mega_module
@@ -16,10 +18,14 @@ from tests.support.mega_lines import (
     FakeLine,
     can_drive,
     hello,
+    imu,
     opened,
+    reports,
     told_drives,
     until,
 )
+
+RANGE = sp.ConfigRange(100)
 
 
 def test_nobody_at_the_other_end_is_named_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -39,6 +45,38 @@ def test_a_greeted_firmware_is_configured() -> None:
     line = FakeLine(1)
     with opened(line):
         assert {sp.encode(sp.ConfigImu()), sp.encode(sp.ConfigMotors())} <= set(line.written)
+
+
+def test_a_firmware_from_before_the_range_sensor_drives_as_ever_and_its_sensor_says_why(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(mega_module, "SILENCE_S", 0.1)
+    line = FakeLine(1, unknown=(RANGE,))
+    with opened(line, now_ns=lambda: 0, range_sensor=RANGE) as mega:
+        until(lambda: can_drive(mega))
+        assert mega.problems() == {}
+        reports(line, 30)
+        with pytest.raises(DeviceLost, match="too old for an HC-SR04; flash it"):
+            asyncio.run(mega.wait_range())
+        assert line.written.count(sp.encode(RANGE)) == 1  # it is not asked again
+
+
+def test_a_firmware_that_comes_back_newer_is_asked_again() -> None:
+    old, new = FakeLine(1, unknown=(RANGE,)), FakeLine(2)
+    with opened(old, new, range_sensor=RANGE) as mega:
+        old.incoming.put(DeviceLost("pulled out"))
+        until(lambda: sp.encode(RANGE) in new.written)
+        new.say(sp.RangePacket(0, 1000, 5831, sp.Echo.HEARD))
+        assert asyncio.run(mega.wait_range()).echo_us == 5831
+
+
+def test_a_robot_without_the_sensor_asks_for_none() -> None:
+    line = FakeLine(1)
+    with opened(line) as mega:
+        until(lambda: can_drive(mega))
+        line.say(sp.RangePacket(0, 1000, 5831, sp.Echo.HEARD), imu(0))  # from a Mega that another program had set
+        assert len(asyncio.run(mega.wait_readings())) == 1
+        assert not any(sp.encode(RANGE) == frame for frame in line.written)
 
 
 def test_nothing_drives_a_mega_that_started_anew_before_its_new_clock_is_known() -> None:

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from robot.devices.pi.hc_sr04 import calibration_of
 from shared.calibration import Calibration, DepthCalibration
 from shared.errors import DataError
 from station.datasets import Dataset
@@ -46,6 +47,15 @@ def test_a_map_by_images_gets_its_metres_from_depth(sensor: DepthCalibration, un
     np.testing.assert_allclose(made.landmarks.p_world, map_of(T).landmarks.p_world, rtol=0.02, atol=0.02)
     turned = map_of(T).keyframes.T_world_cam[:, :3, :3]
     np.testing.assert_allclose(made.keyframes.T_world_cam[:, :3, :3], turned, atol=1e-12)
+
+
+def test_a_cone_says_nothing_of_a_map() -> None:
+    """Nobody knows where in it the thing is: no walls come of it, no metres, no sentence that it lacks landmarks."""
+    T = way()
+    plain = map_of(T, 0.5)
+    sonar, picture = calibration_of((0.1, 0.0, 0.0)), encoded(np.array([[1500]], dtype=np.uint16))
+    made = with_depth(plain, log_of([DepthFrame(k * STEP_NS, picture, sonar) for k in range(len(T))]))
+    assert made is plain
 
 
 def test_the_scale_is_told_as_unsure_as_the_pictures_differ() -> None:
