@@ -26,6 +26,7 @@ from station.library.navigations import Navigations
 from station.model.calibration_fit import MISFITS, CalibrationFit, newer, why_misfit
 from station.model.map_store import StoreAddress
 from station.model.place_map import Grouping
+from station.robots.ahead import AheadWatch
 from station.robots.current_navigation import CurrentNavigation
 from station.robots.current_place import CurrentPlace
 from station.robots.driving import Driving
@@ -108,7 +109,9 @@ class RobotSession(IgnoringListener):
         )
         self.guided_calibration = GuidedCalibration(config.data_dir / "calibrations", events, shared.make_recorder)
         events.on_line = self.current_navigation.on_log
-        listeners = LinkListeners(self.current_navigation, self.current_place, self.guided_calibration, self)
+        self.ahead = AheadWatch(events)
+        parts = (self.current_navigation, self.current_place, self.guided_calibration, self.ahead)
+        listeners = LinkListeners(*parts, self)
         self.link = RobotLink(robot.host, robot.port, listeners, station_name=config.name, robots=shared.paired)
         self.link.commands.must_stand = lambda: self.must_stand != ""
         self.driving = Driving(
@@ -127,6 +130,7 @@ class RobotSession(IgnoringListener):
             tasks.create_task(self.driving.run(), name=f"drive timer of {self.name}")
             tasks.create_task(self.link.run(), name=f"link to {self.name}")
             tasks.create_task(self.current_place.run(), name=f"localisation of {self.name}")
+            tasks.create_task(self.ahead.run(), name=f"what is ahead of {self.name}")
             tasks.create_task(self._every_second(), name=f"second of {self.name}")
 
     async def close(self) -> None:

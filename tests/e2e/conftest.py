@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import importlib.util
 import shutil
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -129,13 +129,15 @@ class Room:
 
 @pytest_asyncio.fixture(loop_scope="module")
 async def room(browser: Browser, tmp_path: Path) -> AsyncIterator[Room]:
-    async with _room(browser, tmp_path) as room:
+    async with furnished(browser, tmp_path, running_robot) as room:
         yield room
 
 
 @asynccontextmanager
-async def _room(browser: Browser, data_dir: Path) -> AsyncIterator[Room]:
-    async with running_robot() as bench, running_station(bench.port, data_dir) as desk:
+async def furnished(
+    browser: Browser, data_dir: Path, robot: Callable[[], AbstractAsyncContextManager[Bench]]
+) -> AsyncIterator[Room]:
+    async with robot() as bench, running_station(bench.port, data_dir) as desk:
         film = Film(bench)
         filming = asyncio.create_task(film.run())
         room = Room(desk, bench, film, browser)

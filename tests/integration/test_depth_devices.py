@@ -23,7 +23,8 @@ from station.datasets import open_dataset
 from station.model.frames import DepthFrame
 from station.recordings.recorder import Recorder
 from tests.support.depth import depth_camera, encoded
-from tests.support.link import Bench, linked, until
+from tests.support.depth_robot import DepthBench, running_robot_with_depth
+from tests.support.link import linked, until
 from tests.support.recordings import HELLO, START_NS, frame
 
 SENSOR = depth_camera(32, 24)
@@ -31,39 +32,10 @@ WITH_DEPTH = msgspec.structs.replace(REFERENCE_ROBOT, depth=SENSOR)
 WAIT_S = 60.0
 
 
-class FakeDepth:
-    """Gives the pictures that a test puts in."""
-
-    def __init__(self) -> None:
-        self.pictures: asyncio.Queue[CapturedDepth] = asyncio.Queue()
-
-    async def measure(self) -> CapturedDepth:
-        return await self.pictures.get()
-
-    async def close(self) -> None: ...
-
-
-class DepthBench(Bench):
-    """A robot-server with a depth sensor."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.depth = FakeDepth()
-
-    def devices(self) -> DeviceSet:
-        devices = super().devices()
-        return DeviceSet(
-            calibration=WITH_DEPTH, camera=devices.camera, imu=devices.imu, motors=devices.motors, depth=self.depth,
-            clock=devices.clock,
-        )  # fmt: skip
-
-
 @pytest.fixture
 async def bench() -> Any:
-    made = DepthBench()
-    await made.start()
-    yield made
-    await made.stop()
+    async with running_robot_with_depth(SENSOR) as made:
+        yield made
 
 
 async def test_depth_reaches_the_station_as_the_sensor_made_it(bench: DepthBench) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
 from station.api.schema.base import Model, Number, Question
 from station.model.calibration_fit import REMEDY, CalibrationFit
+from station.robots.ahead import AheadWatch
 from station.robots.session import RobotSession
 
 
@@ -54,6 +56,16 @@ class NetworkModel(Model):
 class BatteryModel(Model):
     voltage_v: float | None
     fraction: float | None
+
+
+class AheadModel(Model):
+    """How far the next thing ahead is, as the robot's depth sensor measures it. Nothing stops by it."""
+
+    distance_m: float | None = Field(
+        description="from the sensor; null: it measured nothing ahead, which is not to say that nothing is there",
+        examples=[0.82],
+    )
+    age_s: float | None = Field(description="since it came to the station; null: nothing for 1.5 s")
 
 
 class AppliedModel(Model):
@@ -105,6 +117,7 @@ class RobotModel(Model):
     driver: str | None = Field(description="who drives through this station")
     robot_driver: str | None = Field(description="the station that drives, as the robot says")
     applied: AppliedModel | None
+    ahead: AheadModel | None = Field(description="null: the robot has no depth sensor, or none is connected")
     head_must_rest: str = Field(description="why the camera head must look straight ahead; empty: it may turn")
     faults: list[str]
 
@@ -159,6 +172,14 @@ def calibration_fit_model(fit: CalibrationFit) -> CalibrationFitModel:
     )
 
 
+def _ahead_model(watch: AheadWatch) -> AheadModel:
+    newest = watch.newest
+    if newest is None:
+        return AheadModel(distance_m=None, age_s=None)
+    distance_m = None if newest.distance_m is None else round(newest.distance_m, 3)
+    return AheadModel(distance_m=distance_m, age_s=round((time.monotonic_ns() - newest.t_station_ns) * 1e-9, 2))
+
+
 def robot_model(robot: RobotSession) -> RobotModel:
     state = robot.state
     hello, status = state.hello, state.status
@@ -192,6 +213,7 @@ def robot_model(robot: RobotSession) -> RobotModel:
         driver=robot.driving.driver,
         robot_driver=status.driver if status else None,
         applied=AppliedModel.of(applied) if applied and state.connected else None,
+        ahead=_ahead_model(robot.ahead) if robot.ahead.has_sensor else None,
         head_must_rest=robot.head_must_rest,
         faults=list(status.faults) if status else [],
     )

@@ -71,6 +71,7 @@ export class DriveControl {
     this.isConnected = robot.connected;
     this.roundTripMs = robot.network.round_trip_ms ?? 0;
     this.head.show(robot);
+    this.panel.showAhead(robot.ahead);
     document.body.dataset.robot = robot.connected && robot.capabilities?.drive ? "drives" : "none";
     const v = robot.applied ?? { linear: 0, angular: 0 };
     if (!this.guard.isDriving) this.panel.showVelocity(v.linear, v.angular);

@@ -1,11 +1,14 @@
 // What the person at the wheel reads: who drives, how fast, and why it stopped.
+import type { AheadModel } from "../link/messages";
 import { by, setText, show } from "../ui/dom";
 
 const WHY_MS = 5000;
+const NEAR_M = 0.5; // a second and a half at the speed that the robot has at first
 
 export class DrivePanel {
   private readonly driver = by("driver");
   private readonly why = by("why");
+  private readonly ahead = by("ahead");
   private readonly limit = by("speed", HTMLInputElement);
   private whyTimer = 0;
   private saidSeq = 0; // the command before the sentence on the screen
@@ -36,6 +39,14 @@ export class DrivePanel {
     setText(by("angular"), `${angular.toFixed(2)} rad/s`);
   }
 
+  /** How far the next thing ahead is, where the robot has a sensor for it. */
+  showAhead(ahead: AheadModel | null): void {
+    show(this.ahead, ahead !== null);
+    if (ahead === null) return;
+    setText(this.ahead, describe(ahead));
+    this.ahead.dataset.near = String(ahead.distance_m !== null && ahead.distance_m < NEAR_M);
+  }
+
   /** Say why it stopped, for a while; `seq` is the newest command before. */
   say(text: string, seq: number): void {
     this.saidSeq = seq;
@@ -49,4 +60,10 @@ export class DrivePanel {
   accept(seq: number): void {
     if (seq > this.saidSeq) show(this.why, false);
   }
+}
+
+function describe({ distance_m: metres, age_s }: AheadModel): string {
+  if (age_s === null) return "Distance ahead unknown";
+  if (metres === null) return "Nothing measured ahead";
+  return `${metres < 1 ? `${Math.round(metres * 100)} cm` : `${metres.toFixed(1)} m`} to the next thing ahead`;
 }

@@ -14,6 +14,14 @@ export interface Accepted {
   ok: true;
 }
 
+/** How far the next thing ahead is, as the robot's depth sensor measures it. Nothing stops by it. */
+export interface AheadModel {
+  /** from the sensor; null: it measured nothing ahead, which is not to say that nothing is there */
+  distance_m: number | null;
+  /** since it came to the station; null: nothing for 1.5 s */
+  age_s: number | null;
+}
+
 /** What the motors were told. */
 export interface AppliedModel {
   linear: number;
@@ -875,6 +883,8 @@ export interface RobotModel {
   /** the station that drives, as the robot says */
   robot_driver: string | null;
   applied: AppliedModel | null;
+  /** null: the robot has no depth sensor, or none is connected */
+  ahead: AheadModel | null;
   /** why the camera head must look straight ahead; empty: it may turn */
   head_must_rest: string;
   faults: string[];
