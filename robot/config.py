@@ -94,8 +94,10 @@ class PiConfig(Section, frozen=True, kw_only=True):
     motors: Literal["mega", "gpio", "none"] = "mega"  # where the DRV8833 is wired to
     pan_tilt: Literal["mega", "gpio", "none"] = "mega"
     battery: Literal["mega", "ina219", "none"] = "mega"
-    depth: Literal["hc-sr04", "none"] = "none"  # on the Mega; it looks straight ahead
+    # What measures how far things are: an HC-SR04 on the Mega, or an OAK-D on USB. Both look straight ahead.
+    depth: Literal["hc-sr04", "oak-d", "none"] = "none"
     depth_position_m: tuple[float, float, float] = (0.2, 0.0, 0.0)  # of its face from the IMU: forward, left, up
+    depth_pitch_deg: Annotated[float, Meta(ge=-60, le=60)] = 0.0  # by how much an OAK-D looks up
     # Folder with this robot's camera.yaml, imu.yaml, while no calibration.yaml is kept; empty: the reference robot's.
     calibration: str = ""
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -18,6 +20,9 @@ from shared.calibration import REFERENCE_ROBOT, Calibration, CameraCalibration, 
 from shared.errors import ConfigError
 from shared.serial_protocol import ACCEL_RANGES_G, GYRO_RANGES_DEG_S, ConfigImu, ConfigMotors
 
+if TYPE_CHECKING:
+    from robot.devices.pi.oak_d import OakD
+
 
 def open_pi(config: PiConfig, own: Calibration | None = None) -> DeviceSet:
     """Open the real robot. `own`: the calibration that it keeps; None: none yet.
@@ -27,16 +32,20 @@ def open_pi(config: PiConfig, own: Calibration | None = None) -> DeviceSet:
     """
     check(config)
     with contextlib.ExitStack() as undo:
+        calibration = load_calibration(config, own)
+        depth = _open_oak_d(config, undo) if config.depth == "oak-d" else None
+        if depth is not None:
+            calibration = msgspec.structs.replace(calibration, depth=depth.calibration)
         mega = _open_mega(config) if uses_mega(config) else None
         if mega is not None:
             undo.callback(mega.close)
         motors, pan_tilt = _open_motion(config, mega, undo)
         devices = DeviceSet(
-            calibration=load_calibration(config, own),
+            calibration=calibration,
             camera=open_camera(config) if config.camera else None,
             imu=MegaImu(mega) if mega is not None and config.imu else None,
             motors=motors,
-            depth=HcSr04(mega) if mega is not None and config.depth == "hc-sr04" else None,
+            depth=HcSr04(mega) if mega is not None and config.depth == "hc-sr04" else depth,
             pan_tilt=pan_tilt,
             battery=_open_battery(config, mega),
             problems=dict if mega is None else mega.problems,
@@ -164,6 +173,14 @@ def open_camera(config: PiConfig) -> Camera:
     from robot.devices.pi.camera import PiCamera
 
     return PiCamera(config)
+
+
+def _open_oak_d(config: PiConfig, undo: contextlib.ExitStack) -> OakD:
+    from robot.devices.pi.oak_d import OakD
+
+    oak = OakD(config.depth_position_m, math.radians(config.depth_pitch_deg))
+    undo.callback(oak.end)
+    return oak
 
 
 def _open_battery(config: PiConfig, mega: Mega | None) -> Battery | None:
