@@ -247,6 +247,13 @@ def test_low_battery_holds_the_motors_off(tmp_path: Path) -> None:
     assert run.statuses()[-1].battery_mv == pytest.approx(6000, abs=30)
 
 
+def test_a_fault_of_the_motor_driver_is_told_and_a_reset_makes_none(tmp_path: Path) -> None:
+    drives = board.drive([1.0 + 0.1 * i for i in range(8)], 500, 500, boot_id=2, booted_s=0.3)
+    run = board.batch(tmp_path, 2.2, [(0.3, "reset"), (1.5, "driver_fault 1"), *drives])
+    faulty = [s.uptime_ms for s in run.statuses() if s.flags & sp.Flag.DRIVER_FAULT]
+    assert faulty and min(faulty) >= 1200
+
+
 def test_fast_decay_gives_the_same_duty(tmp_path: Path) -> None:
     drives = board.drive([1.0 + 0.1 * i for i in range(8)], -700, 450)
     run = board.batch(tmp_path, 2.5, [(0.5, board.uart(sp.ConfigMotors(slow_decay=False))), *drives])

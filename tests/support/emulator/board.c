@@ -132,7 +132,7 @@ static void command(const char *line) {
   } else if (!strcmp(word, "battery")) {
     adc((int)number);
   } else if (!strcmp(word, "driver_fault")) {
-    avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('H'), 5), number != 0 ? 0 : 1);
+    pins_driver_fault(number != 0);
   } else if (!strcmp(word, "range")) {
     range_command(rest);
   } else if (!strcmp(word, "hang")) {
@@ -348,7 +348,7 @@ int main(int argc, char **argv) {
     }
   }
   avr_reset(avr);
-  avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('H'), 5), 1);
+  pins_driver_fault(0);
   adc(7400);
   start_wall_ns = wall_ns();
   if (options.pty) {

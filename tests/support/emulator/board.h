@@ -42,6 +42,9 @@ extern uint64_t bytes_out, bytes_lost, bytes_in;
 void pins_attach(void);
 void pins_reset(void);
 void pins_window(void); /* once per millisecond */
+void pins_driver_fault(int fault);
+void pin_drive(char port, int bit, int level); /* one pin of a port that something outside holds */
+void pin_drive_anew(char port, int bit, int level); /* after the MCU's reset */
 extern int duty_left, duty_right;
 
 /* range.c */

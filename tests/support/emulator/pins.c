@@ -34,7 +34,28 @@ static void on_edge(struct avr_irq_t *irq, uint32_t value, void *param) {
   level[(intptr_t)param] = value & 1;
 }
 
+/* At each write to its port simavr sets an input to its pull-up, unless it was told of something stronger. */
+void pin_drive(char port, int bit, int level) {
+  avr_ioport_external_t outside = {.name = (unsigned)port, .mask = 1u << bit, .value = (unsigned)level << bit};
+  avr_ioctl(avr, AVR_IOCTL_IOPORT_SET_EXTERNAL(port), &outside);
+  avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(port), bit), (uint32_t)level);
+}
+
+/* A reset clears what the firmware reads of a pin, and simavr sets it again only at a change. */
+void pin_drive_anew(char port, int bit, int level) {
+  pin_drive(port, bit, !level);
+  pin_drive(port, bit, level);
+}
+
+static int driver_fault = 0;
+
+void pins_driver_fault(int fault) {
+  driver_fault = fault;
+  pin_drive('H', 5, !fault);
+}
+
 void pins_reset(void) {
+  pin_drive_anew('H', 5, !driver_fault);
   integrate();
   for (int i = 0; i < PINS; ++i) level[i] = 0; /* a pin in reset floats, and the driver pulls its inputs down */
 }

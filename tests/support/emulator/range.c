@@ -16,12 +16,7 @@ static double trig_rose_us = 0;
 static int sounds = 0;
 static uint64_t measurements = 0;
 
-static void echo(int level) {
-  /* At each write to its port simavr sets an input to its pull-up, unless it was told of something stronger. */
-  avr_ioport_external_t pull = {.name = 'L', .mask = 1 << 1, .value = (unsigned)level << 1};
-  avr_ioctl(avr, AVR_IOCTL_IOPORT_SET_EXTERNAL('L'), &pull);
-  avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('L'), 1), (uint32_t)level);
-}
+static void echo(int level) { pin_drive('L', 1, level); }
 static int rests_at(void) { return state == UNPLUGGED || state == STUCK; }
 static avr_cycle_count_t cycles(double us) { return (avr_cycle_count_t)(us * 16); }
 
@@ -92,7 +87,7 @@ uint64_t range_measurements(void) { return measurements; }
 void range_reset(void) {
   sounds = 0;
   if (state == RINGS) avr_cycle_timer_register(avr, cycles(25), ring, NULL);
-  echo(rests_at());
+  pin_drive_anew('L', 1, rests_at());
 }
 
 void range_attach(void) { avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('L'), 0), on_trig, NULL); }
