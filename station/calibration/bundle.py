@@ -10,7 +10,7 @@ import numpy as np
 from scipy import special
 
 from shared.geometry import FloatArray, IntArray
-from station.calibration.distortion import COUNT, LensName, distort, undistorted_guess
+from station.calibration.distortion import COUNT, LensName, distort, distortion_slopes, undistorted_guess
 from station.calibration.target import BoardView, Target
 from station.vision.lens import BoolArray
 
@@ -20,6 +20,7 @@ LEAST_SIGMA_PX = 0.03  # finer than that no corner is known, however well simula
 ROUNDS = 6
 ROUGH_STEPS = 8  # of a round, at most
 STEPS = 40  # of the last one
+LEAST_DEPTH_M = 1e-3  # nearer, or behind the camera, a corner is taken to be here
 START_VIEWS = 15  # that the focal length to start from is sought in
 RAYLEIGH_MEDIAN = 1.1774  # median length of an error of unit sigma in each direction
 
@@ -102,7 +103,8 @@ def fit_poses(corners: Corners, fit: Fit) -> Fit:
 
 def residuals(corners: Corners, fit: Fit) -> FloatArray:
     """(n, 2) px, seen minus where the fit expects it."""
-    return -_linearise(corners, fit)[0]
+    expected, _, _ = _expect(corners, fit)
+    return corners.uv_px - expected
 
 
 def covariance(corners: Corners, fit: Fit) -> FloatArray:
@@ -115,8 +117,8 @@ def covariance(corners: Corners, fit: Fit) -> FloatArray:
     """
     linear = _linearise(corners, fit)
     # What was left out because the lens model does not reach it could as well have been taken: it counts here.
-    is_inlier = np.linalg.norm(linear[0], axis=1) < 3.0 * OUTLIER * fit.sigma_px
-    S, s = _reduced(_equations(corners, replace(fit, is_inlier=is_inlier), *linear), 0.0)
+    is_inlier = np.linalg.norm(linear[:, :, -1], axis=1) < 3.0 * OUTLIER * fit.sigma_px
+    S, s = _reduced(_equations(corners, replace(fit, is_inlier=is_inlier), linear), 0.0)
     H = S.sum(axis=0)
     by_noise = _inverse(H)
     moved = np.stack([_inverse(H - S[i]) @ s[i] for i in range(len(S))])
@@ -190,8 +192,8 @@ def _with_poses(corners: Corners, lens: LensName, numbers: FloatArray) -> Fit:
 def _undistort(lens: LensName, distorted: FloatArray, guess: FloatArray, d: FloatArray) -> FloatArray:
     xy = guess
     for _ in range(10):
-        now = distort(lens, xy, d)
-        step = np.linalg.solve(now.by_xy + 1e-9 * np.eye(2), (distorted - now.xy)[..., None])[..., 0]
+        by_xy = distortion_slopes(lens, xy, d).by_xy
+        step = np.linalg.solve(by_xy + 1e-9 * np.eye(2), (distorted - distort(lens, xy, d))[..., None])[..., 0]
         xy = xy + np.clip(step, -0.3, 0.3)
     return xy
 
@@ -211,20 +213,20 @@ def _with_all(fit: Fit) -> Fit:
 def _minimise(corners: Corners, fit: Fit, steps: int, poses_only: bool = False) -> Fit:
     """Levenberg and Marquardt's steps until nothing moves."""
     damping = 1e-3
-    residual, J, J_pose = _linearise(corners, fit)
-    cost = _cost(residual, fit)
+    linear = _linearise(corners, fit)
+    cost = _cost(linear[:, :, -1], fit)
     for _ in range(steps):
-        equations = _equations(corners, fit, residual, J, J_pose)
+        equations = _equations(corners, fit, linear)
         tried = _step(fit, equations, damping, poses_only)
-        tried_residual, tried_J, tried_J_pose = _linearise(corners, tried)
-        tried_cost = _cost(tried_residual, tried)
+        tried_linear = _linearise(corners, tried)
+        tried_cost = _cost(tried_linear[:, :, -1], tried)
         if not tried_cost < cost:
             damping *= 8.0
             if damping > 1e8:
                 break
             continue
         gain = 1.0 - tried_cost / cost
-        fit, cost, residual, J, J_pose = tried, tried_cost, tried_residual, tried_J, tried_J_pose
+        fit, cost, linear = tried, tried_cost, tried_linear
         damping = max(damping / 8.0, 1e-9)
         if gain < 1e-6:
             break
@@ -273,48 +275,58 @@ def _reduced(equations: _Equations, damping: float) -> tuple[FloatArray, FloatAr
     return S, s
 
 
-def _equations(corners: Corners, fit: Fit, residual: FloatArray, J: FloatArray, J_pose: FloatArray) -> _Equations:
-    length = np.linalg.norm(residual, axis=1) / fit.sigma_px
+def _equations(corners: Corners, fit: Fit, linear: FloatArray) -> _Equations:
+    length = np.linalg.norm(linear[:, :, -1], axis=1) / fit.sigma_px
     weight = fit.is_inlier * np.minimum(1.0, HUBER / np.maximum(length, 1e-9)) / fit.sigma_px**2
-    JW, JW_pose = J * weight[:, None, None], J_pose * weight[:, None, None]
-
-    def by_view(products: FloatArray) -> FloatArray:
-        return np.asarray(np.add.reduceat(products, corners.starts, axis=0))
-
-    def transposed(M: FloatArray) -> FloatArray:
-        return M.transpose(0, 2, 1)
-
+    rows = linear.reshape(-1, linear.shape[2])
+    weighted = (linear * weight[:, None, None]).reshape(rows.shape)
+    # All products of the columns with one another, view by view: a product of two tall matrices each.
+    ends = [*corners.starts[1:], len(linear)]
+    products = np.stack(
+        [weighted[2 * i : 2 * j].T @ rows[2 * i : 2 * j] for i, j in zip(corners.starts, ends, strict=True)]
+    )
+    camera, pose = slice(0, -7), slice(-7, -1)
     return _Equations(
-        A=by_view(transposed(JW) @ J),
-        B=by_view(transposed(JW) @ J_pose),
-        C=by_view(transposed(JW_pose) @ J_pose),
-        a=by_view((transposed(JW) @ residual[..., None])[..., 0]),
-        c=by_view((transposed(JW_pose) @ residual[..., None])[..., 0]),
+        A=products[:, camera, camera],
+        B=products[:, camera, pose],
+        C=products[:, pose, pose],
+        a=products[:, camera, -1],
+        c=products[:, pose, -1],
     )
 
 
-def _linearise(corners: Corners, fit: Fit) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Residuals (n, 2) expected minus seen, their derivatives by the camera (n, 2, k) and by the pose (n, 2, 6)."""
+def _expect(corners: Corners, fit: Fit) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Where the fit expects the corners (n, 2) px, (n, 2) before the lens, and (n, 3) m from the board's origin."""
     num_lens = 4 + COUNT[fit.lens]
-    shape = fit.numbers[num_lens:]
-    R = fit.R_cam_board[corners.view]
-    p_board = corners.p_board + corners.shapes @ shape
-    turned = (R @ p_board[..., None])[..., 0]
+    p_board = corners.p_board
+    if corners.shapes.shape[2]:
+        p_board = p_board + corners.shapes @ fit.numbers[num_lens:]
+    turned = np.einsum("nij,nj->ni", fit.R_cam_board[corners.view], p_board)
     p = turned + fit.t_cam_board[corners.view]
-    z = np.maximum(p[:, 2], 1e-3)
-    xy = np.clip(p[:, :2] / z[:, None], -20.0, 20.0)
-    lens = distort(fit.lens, xy, fit.numbers[4:num_lens])
+    xy = np.clip(p[:, :2] / np.maximum(p[:, 2:], LEAST_DEPTH_M), -20.0, 20.0)
+    return distort(fit.lens, xy, fit.numbers[4:num_lens]) * fit.numbers[:2] + fit.numbers[2:4], xy, turned
+
+
+def _linearise(corners: Corners, fit: Fit) -> FloatArray:
+    """(n, 2, k + 7) derivatives by the camera's k numbers and by the pose, and the residuals, expected minus seen."""
+    num_lens, k = 4 + COUNT[fit.lens], len(fit.numbers)
+    expected, xy, turned = _expect(corners, fit)
+    z = np.maximum(turned[:, 2] + fit.t_cam_board[corners.view, 2], LEAST_DEPTH_M)
+    lens = distortion_slopes(fit.lens, xy, fit.numbers[4:num_lens])
     focal = fit.numbers[:2]
-    J_xy = focal[:, None] * lens.by_xy
-    J_p = np.empty((len(p), 2, 3))
-    J_p[:, :, :2] = J_xy / z[:, None, None]
-    J_p[:, :, 2] = -(J_xy @ xy[..., None])[..., 0] / z[:, None]
-    J_pose = np.empty((len(p), 2, 6))
-    J_pose[:, :, 3:] = J_p
-    J_pose[:, :, :3] = np.cross(turned[:, None, :], J_p)  # row J_p times -[turned]x
-    J = np.zeros((len(p), 2, len(fit.numbers)))
-    J[:, 0, 0], J[:, 1, 1] = lens.xy.T
-    J[:, 0, 2] = J[:, 1, 3] = 1.0
-    J[:, :, 4:num_lens] = focal[:, None] * lens.by_d
-    J[:, :, num_lens:] = J_p @ R @ corners.shapes
-    return lens.xy * focal + fit.numbers[2:4] - corners.uv_px, J, J_pose
+    J_p = np.empty((len(xy), 2, 3))
+    np.divide(focal[:, None] * lens.by_xy, z[:, None, None], out=J_p[:, :, :2])
+    J_p[:, :, 2] = -(J_p[:, :, 0] * xy[:, :1] + J_p[:, :, 1] * xy[:, 1:])
+    out = np.zeros((len(xy), 2, k + 7))
+    out[:, :, :2] = ((expected - fit.numbers[2:4]) / focal)[:, :, None] * np.eye(2)
+    out[:, 0, 2] = out[:, 1, 3] = 1.0
+    out[:, :, 4:num_lens] = focal[:, None] * lens.by_d
+    if corners.shapes.shape[2]:
+        out[:, :, num_lens:k] = J_p @ fit.R_cam_board[corners.view] @ corners.shapes
+    x, y, w = turned.T[:, :, None]
+    out[:, :, k] = y * J_p[:, :, 2] - w * J_p[:, :, 1]  # row J_p times -[turned]x
+    out[:, :, k + 1] = w * J_p[:, :, 0] - x * J_p[:, :, 2]
+    out[:, :, k + 2] = x * J_p[:, :, 1] - y * J_p[:, :, 0]
+    out[:, :, k + 3 : k + 6] = J_p
+    out[:, :, -1] = expected - corners.uv_px
+    return out
