@@ -14,7 +14,7 @@ requirements() {
 if ! is_installed; then
   echo "Open3D tests need open3d: installing it into .venv (a download of some 110 MB, which pip keeps)"
   mapfile -t wanted < <(requirements)
-  $python -m pip install --disable-pip-version-check --quiet -c constraints.txt "${wanted[@]}" || {
+  $python -m pip install --disable-pip-version-check --quiet --no-compile -c constraints.txt "${wanted[@]}" || {
     echo "Open3D tests are skipped: pip could not install it" >&2
     exit 0
   }
