@@ -3,15 +3,18 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 bin=.venv/bin
-scripts/apt-need.sh "browser tests" chromium fonts-dejavu-core
-scripts/apt-need.sh "database tests" postgresql
-scripts/open3d-need.sh
-[ -x firmware/install-deps.sh ] && firmware/install-deps.sh
+install_missing() {
+  scripts/apt-need.sh "browser tests" chromium fonts-dejavu-core
+  scripts/apt-need.sh "database tests" postgresql
+  scripts/open3d-need.sh
+  [ ! -x firmware/install-deps.sh ] || firmware/install-deps.sh
+}
 # Several processes share few cores: a second thread of linear algebra in each of them spins for a core that it does not
 # get, which doubled the CPU time of structure from motion. And sources are compiled once, not by every program anew.
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 unset PYTHONDONTWRITEBYTECODE
 if [ $# -gt 0 ]; then
+  install_missing
   scripts/lint.sh
   exec $bin/pytest -m "not hardware" "$@"
 fi
@@ -35,10 +38,14 @@ robots_then_browsers() {
   "$@" -m "$by_the_clock and not slow" tests/e2e || failed=$?
   return $failed
 }
+# Lint needs nothing that is installed here, and computes while that is fetched. Unit tests come after it: both would
+# install what checks the page.
+beside nice -n 19 bash -c 'scripts/lint.sh && until [ -e "$0/installed" ]; do sleep 1; done && exec "$@"' "$said" \
+  "${run[@]}" -m "not hardware and computing" tests/unit
+install_missing
+touch "$said/installed"
 beside robots_then_browsers "${run[@]}"
 beside nice -n 19 "${run[@]}" -m "not hardware and computing" tests/golden tests/property tests/integration tests/e2e
-# One after the other: both would install what checks the page.
-beside nice -n 19 bash -c 'scripts/lint.sh && exec "$@"' lint "${run[@]}" -m "not hardware and computing" tests/unit
 beside nice "${run[@]}" -m "$by_the_clock and not slow" tests/integration/test_[a-k]*.py
 failed=0
 nice "${run[@]}" -m "$by_the_clock and not slow" tests/integration/test_[!a-k]*.py || failed=$?

@@ -47,12 +47,12 @@ def test_every_test_is_in_one_of_five_processes(folder: Path) -> None:
     assert result.returncode == 0, result.stderr
     assert [line for line in result.stdout.splitlines() if line.startswith("pytest")] == [
         "pytest --durations=15 -m not hardware and not computing and not slow tests/integration/test_[!a-k]*.py",
+        "pytest --durations=15 -m not hardware and computing tests/unit -p no:cacheprovider",
         "pytest --durations=15 -p no:cacheprovider -m not hardware and not computing and slow tests/integration"
         " tests/e2e",
         "pytest --durations=15 -p no:cacheprovider -m not hardware and not computing and not slow tests/e2e",
         "pytest --durations=15 -m not hardware and computing tests/golden tests/property tests/integration tests/e2e"
         " -p no:cacheprovider",
-        "pytest --durations=15 -m not hardware and computing tests/unit -p no:cacheprovider",
         "pytest --durations=15 -m not hardware and not computing and not slow tests/integration/test_[a-k]*.py"
         " -p no:cacheprovider",
     ]
@@ -69,6 +69,14 @@ def test_a_failure_in_any_of_them_fails_the_whole_and_all_are_shown(folder: Path
     result = run(folder, failing=failing)
     assert result.returncode == 1
     assert [line.split()[0] for line in result.stdout.splitlines()].count("pytest") == 6
+
+
+def test_lint_begins_before_what_is_missing_is_installed_and_tests_come_after_it(folder: Path) -> None:
+    at_once = "while [ ! -e linted ]; do sleep 0.01; done"  # or the test's time runs out
+    for name, deed in ((".venv/bin/ruff", "touch linted"), ("scripts/open3d-need.sh", f"{at_once}; touch installed")):
+        (folder / name).write_text(f"#!/bin/bash\n{deed}\n")
+    (folder / ".venv/bin/pytest").write_text("#!/bin/bash\n[ -e installed ]\n")
+    assert run(folder).returncode == 0
 
 
 LINT = ("ruff format", "ruff check", "bandit", "mypy", "lint-imports", "python station/web/build_hook.py --check")
