@@ -10,8 +10,9 @@ install_missing() {
   [ ! -x firmware/install-deps.sh ] || firmware/install-deps.sh
 }
 # Several processes share few cores: a second thread of linear algebra in each of them spins for a core that it does not
-# get, which doubled the CPU time of structure from motion. And sources are compiled once, not by every program anew.
-export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+# get, which doubled the CPU time of structure from motion; OpenCV's take a third more for SIFT. And sources are compiled
+# once, not by every program anew.
+export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 OPENCV_FOR_THREADS_NUM=1
 unset PYTHONDONTWRITEBYTECODE
 if [ $# -gt 0 ]; then
   install_missing
