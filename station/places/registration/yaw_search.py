@@ -38,7 +38,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class SearchConfig:
-    cells: int = 68  # voxels along the target's larger horizontal extent: 13 cm in a flat of 9 m
+    cells: int = 68  # voxels along the target's largest extent: 13 cm in a flat of 9 m
     coarse_cells: int = 30  # of the first look
     promising: float = 1 / 6  # share of the first look that is looked at again: the right one is far in front
     least_promising: int = 12  # where that share is few
@@ -140,9 +140,9 @@ def make_searches(target: FloatArray, source: FloatArray, scales: FloatArray, ce
     centre = np.median(source, axis=0)
     centred = source - centre
     reach = np.percentile(np.linalg.norm(centred[:, :2], axis=1), 98)
-    extent = float(np.max((high - low)[:2]))
-    voxel = max(extent, (extent + reach * float(scales.max())) / MAX_ROOM) / cells
     tallness = np.percentile(np.abs(centred[:, 2]), 99)
+    extent = float(np.max(high - low))  # the vertical one, too: whatever is unknown of the axes, the voxels stay
+    voxel = max(extent, (extent + max(reach, tallness) * float(scales.max())) / MAX_ROOM) / cells
     radius = float(np.sqrt(np.mean(centred[:, :2] ** 2) * 2))
 
     def grid_at(scale: float) -> _Grid:
