@@ -82,6 +82,12 @@ def fit_camera(corners: Corners, lens: LensName, size: tuple[int, int]) -> Fit:
     return refit(corners, _best_start(corners, lens, size))
 
 
+def fit_wider(corners: Corners, fit: Fit, lens: LensName) -> Fit:
+    """The same with more numbers of distortion, which lens models have after those of narrower ones."""
+    numbers = np.append(fit.numbers, np.zeros(COUNT[lens] - COUNT[fit.lens]))
+    return refit(corners, _with_all(replace(fit, lens=lens, numbers=numbers)))
+
+
 def refit(corners: Corners, start: Fit) -> Fit:
     """The camera that saw these corners, from one that nearly did."""
     fit = start

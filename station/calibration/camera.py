@@ -11,8 +11,18 @@ import numpy as np
 
 from shared.geometry import FloatArray
 from station.calibration.boards import homography
-from station.calibration.bundle import Corners, Fit, covariance, fit_camera, fit_poses, refit, residuals, stack_views
-from station.calibration.distortion import LENS_NAMES, ROBOT_LENSES, LensName
+from station.calibration.bundle import (
+    Corners,
+    Fit,
+    covariance,
+    fit_camera,
+    fit_poses,
+    fit_wider,
+    refit,
+    residuals,
+    stack_views,
+)
+from station.calibration.distortion import LENS_NAMES, NARROWER, ROBOT_LENSES, LensName
 from station.calibration.layout import is_other_board
 from station.calibration.target import BoardView, Target
 
@@ -134,11 +144,13 @@ def calibrate_camera(
     fit, corners, views, disagreeing = _agreeing(target, views, lens or "radtan", size)
     if len(views) < LEAST_VIEWS:
         return None, rejected + disagreeing
-    trials = []
+    trials, fits = [], {fit.lens: fit}
     for trial in LENS_NAMES:
         advance(f"trying the lens model {trial}")
-        whole = fit if trial == fit.lens else fit_camera(corners, trial, size)
-        trials.append(try_lens(target, views, corners, whole))
+        if trial not in fits:
+            narrower = fits.get(NARROWER.get(trial, trial))
+            fits[trial] = fit_wider(corners, narrower, trial) if narrower else fit_camera(corners, trial, size)
+        trials.append(try_lens(target, views, corners, fits[trial]))
     if lens is None and (chosen := (choose or most_read_lens)(trials)) != "radtan":
         fit, corners, views, disagreeing = _agreeing(target, different, chosen, size)  # another lens, others disagree
     advance("judging")

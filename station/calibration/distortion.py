@@ -12,6 +12,10 @@ from shared.geometry import FloatArray
 LensName = Literal["radtan", "radtan5", "radtan8", "equidistant"]
 LENS_NAMES: tuple[LensName, ...] = get_args(LensName)
 COUNT: dict[LensName, int] = {"radtan": 4, "radtan5": 5, "radtan8": 8, "equidistant": 4}
+NARROWER: dict[LensName, LensName] = {
+    "radtan5": "radtan",
+    "radtan8": "radtan5",
+}  # those they are with further numbers 0
 ROBOT_LENSES: tuple[LensName, ...] = ("radtan", "equidistant")  # those that robot, datasets and kalibr read
 MAX_ANGLE_RAD = 1.48  # 85 degrees off the axis
 
