@@ -25,9 +25,7 @@ from station.places.registration.verify import KNOWN_TO, Findings, judge
 from station.places.registration.yaw_search import Candidate, SearchConfig, search_yaw
 
 SCALE_STEP = 1.07  # the refinement's basin in scale is about +-4 %
-# Where scales or axes multiply the search. A first look of 30 cells takes two thirds longer and gave the same ranks to
-# the right alignments of 17 training pairs with little overlap and free scale.
-MANY = SearchConfig(cells=36, coarse_cells=20, promising=1 / 4)
+MANY_CELLS = 36  # of the search where scales or axes multiply it: half the time, one rank worse at most
 NUM_CANDIDATES = 8  # refined; the right one is mostly among the first two
 NUM_JUDGED = 3  # different alignments whose contrast is measured
 BESIDE_VOXELS = 0.75  # farther than this, an alignment around the best one is another answer, and not the same optimum
@@ -153,7 +151,7 @@ def _global_start(problem: RegistrationProblem, scales: tuple[float, float]) -> 
     grid = np.exp(np.linspace(np.log(scales[0]), np.log(scales[1]), steps)) if steps > 1 else np.array([scales[0]])
     target = A.points if len(A.points) <= 8000 else thin(A.points, 8000, rng)
     source = B.points if len(B.points) <= 8000 else thin(B.points, 8000, rng)
-    config = SearchConfig() if steps == 1 and problem.upright else MANY
+    config = SearchConfig() if steps == 1 and problem.upright else SearchConfig(cells=MANY_CELLS)
     if problem.upright:
         return search_yaw(target, source, scales=grid, keep=NUM_CANDIDATES, config=config)
     found: list[Candidate] = []
