@@ -95,6 +95,7 @@ class Renderer:
         self._surface = np.empty(shape, np.uint16)
         self._scratch = [np.empty(shape, np.float32) for _ in range(4)]
         self._id_scratch = np.empty(shape, np.uint16)
+        self._row_scratch = [np.empty(shape, np.intp) for _ in range(2)]
         self._surfaces = surfaces = world.surfaces_at(0.0)
         atlas = bake_atlas([s.texture for s in surfaces], cache_dir)
         self.world = world
@@ -106,10 +107,10 @@ class Renderer:
         density = atlas.texels_per_m[texture]  # (N, L)
         offset_m = np.array([[s.u0_m, s.v0_m] for s in surfaces], dtype=np.float32)
         origin = atlas.origin_px[texture] + offset_m[:, None, :] * density[:, :, None]
-        # The last row stands for "nothing seen": a corner texel.
-        self._table = np.zeros(((len(surfaces) + 1) * NUM_LEVELS, 3), np.float32)
-        self._table[: len(surfaces) * NUM_LEVELS, 0:2] = origin.reshape(-1, 2)
-        self._table[: len(surfaces) * NUM_LEVELS, 2] = density.reshape(-1)
+        # Left, top and density of each surface's levels. The last ones stand for "nothing seen": a corner texel.
+        self._table = np.zeros((3, (len(surfaces) + 1) * NUM_LEVELS), np.float32)
+        self._table[0:2, : len(surfaces) * NUM_LEVELS] = origin.reshape(-1, 2).T
+        self._table[2, : len(surfaces) * NUM_LEVELS] = density.reshape(-1)
         self._log2_density = np.log2(density[:, 0])
 
     @property
@@ -235,18 +236,23 @@ class Renderer:
 
     def _colour(self, level_constant: Float32Array) -> ImageArray:
         """Look up each pixel's texel at the level whose texels match the pixel's footprint."""
-        level, scratch = self._scratch[0], self._scratch[1]
-        surface = np.minimum(self._surface, len(self._corners)).astype(np.intp)
+        level, scratch, map_x, map_y = self._scratch
+        row, chosen = self._row_scratch
+        np.minimum(self._surface, np.uint16(len(self._corners)), out=row)
         np.maximum(self._inverse_depth, np.float32(1e-3), out=scratch)
         cv2.log(scratch, dst=scratch)
-        np.take(level_constant, surface, out=level, mode="clip")
+        np.take(level_constant, row, out=level, mode="clip")
         cv2.addWeighted(scratch, -(1.0 + ANISOTROPY) / np.log(2.0), level, 1.0, 0.0, dst=level)
-        chosen = np.clip(np.rint(level), 0, NUM_LEVELS - 1).astype(np.intp)
-        surface *= NUM_LEVELS
-        surface += chosen
-        lookup = np.take(self._table, surface, axis=0, mode="clip")
-        map_x = cv2.multiply(self._u, lookup[:, :, 2]) + lookup[:, :, 0]
-        map_y = cv2.multiply(self._v, lookup[:, :, 2]) + lookup[:, :, 1]
+        np.rint(level, out=level)
+        np.copyto(chosen, np.clip(level, 0, NUM_LEVELS - 1, out=level), casting="unsafe")
+        row *= NUM_LEVELS
+        row += chosen
+        left, top, density = self._table
+        np.take(density, row, out=scratch, mode="clip")
+        np.take(left, row, out=map_x, mode="clip")
+        np.take(top, row, out=map_y, mode="clip")
+        cv2.add(cv2.multiply(self._u, scratch, dst=level), map_x, dst=map_x)
+        cv2.add(cv2.multiply(self._v, scratch, dst=level), map_y, dst=map_y)
         return np.asarray(cv2.remap(self._atlas_image, map_x, map_y, cv2.INTER_LINEAR), dtype=np.uint8)
 
 
