@@ -43,6 +43,9 @@ class SimulatedCamera:
         self._gain = 1.0
         shape = (calibration.height + NOISE_SHIFT_PX, calibration.width + NOISE_SHIFT_PX, 3)
         self._noise_bank = self._rng.standard_normal(shape, dtype=np.float32)
+        self._light = [np.empty((calibration.height, calibration.width, 3), np.float32) for _ in range(2)]
+        columns, rows = (np.arange(n, dtype=np.float32) for n in (calibration.width, calibration.height))
+        self._pixels = np.meshgrid(columns, rows)  # x and y of each
         self._vignette = _vignette(calibration, imperfections.vignetting)
         self._person = _Person(seed)
         self._boards = BoardOverlay(calibration)
@@ -100,13 +103,13 @@ class SimulatedCamera:
             return np.asarray(cv2.filter2D(image, -1, _line_kernel(mean)))
         height, width = image.shape[:2]
         smooth = cv2.GaussianBlur(flow, (3, 3), 0)
-        dense = cv2.resize(smooth, (width, height), interpolation=cv2.INTER_LINEAR)
-        x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+        along_x, along_y = cv2.split(cv2.resize(smooth, (width, height), interpolation=cv2.INTER_LINEAR))
+        x, y = self._pixels
         taps = int(np.clip(np.ceil(np.abs(flow).max() / 1.5), 2, 7))
         total = np.zeros((height, width, 3), np.float32)
         for f in (np.arange(taps) + 0.5) / taps - 0.5:
-            map_x = cv2.addWeighted(x, 1.0, dense[:, :, 0], float(f), 0.0)
-            map_y = cv2.addWeighted(y, 1.0, dense[:, :, 1], float(f), 0.0)
+            map_x = cv2.addWeighted(x, 1.0, along_x, float(f), 0.0)
+            map_y = cv2.addWeighted(y, 1.0, along_y, float(f), 0.0)
             shifted = cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             cv2.accumulate(shifted, total)
         return np.asarray(cv2.convertScaleAbs(total, alpha=1.0 / taps))
@@ -135,20 +138,23 @@ class SimulatedCamera:
             field = field * np.take(rooms, surface)
         if i.noise <= 0 and i.vignetting <= 0 and not light and gain == 1.0:
             return image
-        signal = np.empty(image.shape, np.float32)
-        cv2.multiply(image, cv2.merge([field] * 3), dst=signal, dtype=cv2.CV_32F)
+        signal, scratch = self._light
+        cv2.multiply(image, cv2.merge([field] * 3, dst=scratch), dst=signal, dtype=cv2.CV_32F)
         if i.noise > 0:
-            self._add_noise(signal)
-        return np.asarray(cv2.convertScaleAbs(np.maximum(signal, np.float32(0.0))), dtype=np.uint8)
+            self._add_noise(signal, scratch)
+        return np.asarray(cv2.convertScaleAbs(np.maximum(signal, np.float32(0.0), out=signal)), dtype=np.uint8)
 
-    def _add_noise(self, signal: Float32Array) -> None:
-        """Read noise and shot noise: variance = read^2 + signal / full-well, times the gain. In place."""
+    def _add_noise(self, signal: Float32Array, deviation: Float32Array) -> None:
+        """Read noise and shot noise: variance = read^2 + signal / full-well, times the gain. In place.
+
+        `deviation`: of signal's shape, overwritten.
+        """
         height, width = signal.shape[:2]
         y, x = (int(v) for v in self._rng.integers(0, NOISE_SHIFT_PX, 2))
         noise = self._noise_bank[y : y + height, x : x + width]
         read = self._imperfections.noise * self._gain
         shot = 0.035 * self._imperfections.noise * self._gain
-        deviation = cv2.sqrt(cv2.addWeighted(signal, shot, signal, 0.0, read**2))
+        cv2.sqrt(cv2.addWeighted(signal, shot, signal, 0.0, read**2, dst=deviation), dst=deviation)
         cv2.multiply(deviation, noise, dst=deviation)
         cv2.add(signal, deviation, dst=signal)
 
