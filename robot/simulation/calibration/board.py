@@ -113,8 +113,9 @@ class Print:
         density = 1.0 / (self._texel_m * 2**level)
         # The centre of the first texel is (0, 0).
         u0, v0 = self._origin / 2**level - 0.5
-        map_x = x * np.float32(density) + np.float32(u0)
-        map_y = y * np.float32(-density) + np.float32(v0)
+        map_x, map_y = x * np.float32(density), y * np.float32(-density)
+        map_x += np.float32(u0)
+        map_y += np.float32(v0)
         return np.asarray(
             cv2.remap(self._levels[level], map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         )

@@ -122,7 +122,9 @@ def where_rays_meet(
             for _ in range(BEND_ROUNDS):
                 depth = (_height(board, x) - origin[:, 2]) / dz
                 x = origin[:, 0] + depth * dx
-        return x, origin[:, 1] + depth * dy, depth
+        y = np.multiply(depth, dy, out=dy)
+        y += origin[:, 1]
+        return x, y, depth
 
 
 def _height(board: Board, x: Float32Array) -> Float32Array:
