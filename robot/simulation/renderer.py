@@ -47,14 +47,16 @@ def unproject_pixels(camera: CameraCalibration) -> Float32Array:
 
 
 def undistort(camera: CameraCalibration, xy_distorted: FloatArray) -> FloatArray:
-    """Ideal normalised coordinates (..., 2) by fixed-point iteration. Source: OpenCV's camera model."""
+    """Ideal normalised coordinates (..., 2) by fixed-point iteration until no bit moves. Source: OpenCV."""
     k = camera.distortion
     if camera.model == "equidistant":
         theta_d = np.linalg.norm(xy_distorted, axis=-1)
         theta = theta_d.copy()
         for _ in range(40):
-            t2 = theta**2
+            t2, before = theta**2, theta
             theta = theta_d / (1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))))
+            if np.array_equal(theta, before):
+                break
         return xy_distorted * (np.tan(theta) / np.maximum(theta_d, 1e-12))[..., None]
     xd, yd = xy_distorted[..., 0], xy_distorted[..., 1]
     x, y = xd.copy(), yd.copy()
@@ -63,7 +65,10 @@ def undistort(camera: CameraCalibration, xy_distorted: FloatArray) -> FloatArray
         radial = 1 + r2 * (k[0] + r2 * k[1])
         dx = 2 * k[2] * x * y + k[3] * (r2 + 2 * x * x)
         dy = k[2] * (r2 + 2 * y * y) + 2 * k[3] * x * y
+        x_before, y_before = x, y
         x, y = (xd - dx) / radial, (yd - dy) / radial
+        if np.array_equal(x, x_before) and np.array_equal(y, y_before):
+            break
     return np.stack([x, y], axis=-1)
 
 

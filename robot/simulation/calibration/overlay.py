@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from robot.simulation.calibration.board import Board
 from robot.simulation.calibration.board_camera import OFFSETS_PX, pass_level, rays_at, where_rays_meet
-from robot.simulation.renderer import Rendering, poses_by_row
+from robot.simulation.renderer import Float32Array, Rendering, poses_by_row
 from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, inverse
 
@@ -26,8 +27,12 @@ class BoardOverlay:
 
     def __init__(self, camera: CameraCalibration) -> None:
         self._camera = camera
-        self._rays = [rays_at(camera, offset) for offset in ((0.0, 0.0), *OFFSETS_PX)]
         self._board: Board | None = None  # with its print, which takes a moment to draw
+
+    @cached_property
+    def _rays(self) -> list[Float32Array]:
+        """Through the pixels' centres, and at each offset. Most cameras never see a board, and this takes a moment."""
+        return [rays_at(self._camera, offset) for offset in ((0.0, 0.0), *OFFSETS_PX)]
 
     def draw(self, hung: HungBoard, rendering: Rendering, T_world_cam_rows: FloatArray) -> None:
         """Paint the sheet over image and depth where it is nearer than what is there; poses as `Renderer.render`'s."""
