@@ -31,7 +31,8 @@ class Surface:
     @property
     def normal(self) -> FloatArray:
         """(3,) unit vector towards the viewer."""
-        return np.cross(self.ev, self.eu)
+        (a, b, c), (d, e, f) = self.ev, self.eu
+        return np.array([b * f - c * e, c * d - a * f, a * e - b * d])  # np.cross takes ten times as long for one
 
     def corners(self) -> FloatArray:
         """(4, 3) m, world, around the rectangle."""
