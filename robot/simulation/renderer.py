@@ -58,8 +58,9 @@ def undistort(camera: CameraCalibration, xy_distorted: FloatArray) -> FloatArray
             if np.array_equal(theta, before):
                 break
         return xy_distorted * (np.tan(theta) / np.maximum(theta_d, 1e-12))[..., None]
-    xd, yd = xy_distorted[..., 0], xy_distorted[..., 1]
-    x, y = xd.copy(), yd.copy()
+    xd, yd = xy_distorted.reshape(-1, 2).T.copy()
+    x, y = xd, yd
+    found, moving = np.empty((2, len(x))), np.arange(len(x))  # the last bit of some moves to and fro for ever
     for _ in range(60):
         r2 = x * x + y * y
         radial = 1 + r2 * (k[0] + r2 * k[1])
@@ -67,9 +68,10 @@ def undistort(camera: CameraCalibration, xy_distorted: FloatArray) -> FloatArray
         dy = k[2] * (r2 + 2 * y * y) + 2 * k[3] * x * y
         x_before, y_before = x, y
         x, y = (xd - dx) / radial, (yd - dy) / radial
-        if np.array_equal(x, x_before) and np.array_equal(y, y_before):
-            break
-    return np.stack([x, y], axis=-1)
+        found[:, moving] = x, y
+        moves = (x != x_before) | (y != y_before)
+        x, y, xd, yd, moving = x[moves], y[moves], xd[moves], yd[moves], moving[moves]
+    return found.T.reshape(xy_distorted.shape)
 
 
 def poses_by_row(T: FloatArray, height: int) -> tuple[FloatArray, FloatArray]:
