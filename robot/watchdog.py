@@ -22,8 +22,8 @@ logger = logging.getLogger(__name__)
 
 MAX_TTL_NS = MAX_DRIVE_TTL_MS * 1_000_000
 LATEST_CHECK_S = 0.05  # the thread looks at the clock at least so often, even if a wake-up was lost
-# A word is at the motors' pins by then: the line takes 1 ms, the firmware's loop a few. What would find them at rest
-# there starts them.
+# A word is at the motors' pins by then: the line takes 1 ms, the firmware's loop a few, and its clock ends motions some
+# ms early. What finds them at rest there starts them, if for a millisecond; what is over by then moves nothing.
 AT_THE_PINS_NS = 10_000_000
 STUCK_NS = 1_000_000_000  # a thread that has not looked for so long hangs in the motors' driver
 
@@ -61,7 +61,8 @@ class DriveGuard:
         if self._closed:
             return False
         goes_on = not self.velocity(now_ns).is_zero and self._until_ns - now_ns > AT_THE_PINS_NS
-        if wish.is_zero or (until_ns > now_ns and (goes_on or may_start)):
+        starts = may_start and until_ns - now_ns > AT_THE_PINS_NS
+        if wish.is_zero or starts or (goes_on and until_ns > now_ns):
             self._wish = wish
             self._until_ns = min(until_ns, now_ns + MAX_TTL_NS)
             self.num_commands += 1

@@ -46,6 +46,7 @@ def test_what_may_not_start_the_motors_keeps_them_moving_alone() -> None:
     guard.command(AHEAD, 240 * MS, 215 * MS, may_start=False)  # on its way to the pins when the motors rest there
     assert guard.velocity(221 * MS).is_zero
     guard.command(AHEAD, 240 * MS, 225 * MS, may_start=False)  # nobody had looked since it ended
+    guard.command(AHEAD, 232 * MS, 227 * MS)  # the end of a motion, said again
     assert guard.velocity(230 * MS) == STANDSTILL and guard.stops == 1
 
 
