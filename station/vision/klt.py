@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -182,20 +183,24 @@ def _flow(
 
 
 def detect_corners(
-    grey: ImageArray,
+    grey: ImageArray | npt.NDArray[np.floating[Any]],
     existing_px: FloatArray,
     wanted: int,
     cell_px: int,
     min_response: float,
     border_px: int = 12,
+    peak_px: int = 0,
 ) -> FloatArray:
     """The strongest Shi-Tomasi corner of each empty cell, best first, refined to sub-pixel.
 
     Responses are computed at half resolution: a sixth of the time, and the sub-pixel step restores the position.
     Args:
+        grey: (H, W) in whole levels or of 0 to 1.
         existing_px: (N, 2) pixels of live tracks; cells within half a cell of one of them stay empty.
         wanted: at most that many corners.
         min_response: smallest eigenvalue that counts, in OpenCV's units on a grey image in [0, 1].
+        peak_px: so far around a corner none is stronger, and it is left at a pixel; 0: it may lie on the slope of one
+            in the next cell, and the sub-pixel step moves it.
     Returns:
         (M, 2) pixels, M <= wanted.
     """
@@ -203,6 +208,9 @@ def detect_corners(
         return np.zeros((0, 2))
     half = np.asarray(cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
     response = np.asarray(cv2.cornerMinEigenVal(half, 3, ksize=3), dtype=np.float32)
+    if peak_px:
+        side = 2 * (peak_px // 2) + 1
+        response[response < cv2.dilate(response, np.ones((side, side), np.uint8))] = 0.0
     border = border_px // 2
     response[:border] = response[-border:] = 0.0
     response[:, :border] = response[:, -border:] = 0.0
@@ -222,6 +230,8 @@ def detect_corners(
     corners = _spread(corners[order], cell_px / 4.0, wanted)
     if not len(corners):
         return np.zeros((0, 2))
+    if peak_px:
+        return corners * 2.0 + 0.5
     start = (corners * 2.0 + 0.5).astype(np.float32).reshape(-1, 1, 2)
     refined = cv2.cornerSubPix(grey, start, SUBPIX_WINDOW, (-1, -1), SUBPIX_CRITERIA)
     return np.asarray(refined, dtype=np.float64).reshape(-1, 2)

@@ -110,6 +110,17 @@ def test_no_corners_on_a_blank_wall() -> None:
     assert len(detect_corners(np.full((480, 640), 120, np.uint8), np.zeros((0, 2)), 100, 32, 3e-4)) == 0
 
 
+def test_peaks_lie_at_their_corner_and_not_on_its_slope_where_a_live_track_covers_it() -> None:
+    grey = np.full((480, 640), 100, np.uint8)
+    grey[127:193, 127:193] = 180
+    true = np.array([[126.5, 126.5], [192.5, 126.5], [126.5, 192.5], [192.5, 192.5]])
+    live = np.array([[119.0, 119.0]])
+    peaks, all_corners = (detect_corners(grey, live, 200, 32, 1e-5, peak_px=peak_px) for peak_px in (6, 0))
+    off = np.linalg.norm(peaks[:, None] - true, axis=2)
+    assert sorted(off.argmin(axis=1).tolist()) == [1, 2, 3] and off.min(axis=1).max() < 3.0
+    assert len(all_corners) > 3
+
+
 @pytest.mark.parametrize("translation", [0.0, 0.1])
 def test_two_view_test_finds_the_wrong_pairs(translation: float) -> None:
     rng = np.random.default_rng(3)
