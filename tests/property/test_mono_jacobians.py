@@ -1,6 +1,7 @@
 """Every derivative of the MonoSLAM filter against differences of what it is the derivative of."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from hypothesis import given, settings
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 from shared.geometry import FloatArray, so3_exp, so3_log
 from station.slam.mono.config import MonoConfig
 from station.slam.mono.measurement import Predicted, angles_of, bearing, bearing_by_angles, first_seen, predict, to_xyz
-from station.slam.mono.motion import ATTITUDE, CAMERA, POSE, POSITION, TURN, VELOCITY, first_camera, move
+from station.slam.mono.motion import ATTITUDE, CAMERA, POSE, POSITION, TURN, VELOCITY, move
 from station.slam.mono.state import State
 from station.vision.lens import Lens
 from tests.support.mono import hand_held_camera
@@ -137,14 +138,17 @@ def test_a_new_feature_is_as_uncertain_as_its_pixel_and_its_camera_are(seed: int
     """C.2: covariance by the derivatives of the first view."""
     rng, lens, config = np.random.default_rng(seed), hand_held_lens(), MonoConfig()
     uv = rng.uniform([100, 100], [540, 380], (1, 2))
-    x, P = first_camera(config)
-    x[POSITION], R = rng.normal(size=3), so3_exp(rng.normal(0.0, 0.3, 3))
+    state = State.first(config)
+    x, P, R = state.x.copy(), state.P.copy(), so3_exp(rng.normal(0.0, 0.3, 3))
+    x[POSITION] = rng.normal(size=3)
     P[:POSE, :POSE] = np.diag(rng.uniform(1e-6, 1e-4, POSE))
-    nothing = np.zeros(0, dtype=np.int64)
-    state = State(x, R, P, nothing, nothing.astype(bool), np.zeros(0))
-    state = state.with_features(np.zeros(1, dtype=np.int64), uv, np.ones(1), lens, config, config.sigma_px)
+    A = rng.normal(size=(2, 2))
+    noise = A @ A.T + np.eye(2)
+    state = replace(state, x=x, R=R, P=P)
+    state = state.with_features(np.zeros(1, dtype=np.int64), uv, noise[None], lens, config, config.sigma_px)
     _, by_pose, by_own = first_seen(x[POSITION], R, uv, config.first_inverse_depth, lens)
-    own = np.diag([config.sigma_px, config.sigma_px, config.sigma_first_inverse_depth]) ** 2
+    own = np.zeros((3, 3))
+    own[:2, :2], own[2, 2] = config.sigma_px**2 * noise, config.sigma_first_inverse_depth**2
     expected = by_pose[0] @ P[:POSE, :POSE] @ by_pose[0].T + by_own[0] @ own @ by_own[0].T
     np.testing.assert_allclose(state.P[CAMERA:, CAMERA:], expected, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(state.P[CAMERA:, :POSE], by_pose[0] @ P[:POSE, :POSE], rtol=1e-9, atol=1e-12)

@@ -90,12 +90,10 @@ class PointFinder:
         chi2 = np.einsum("mi,mij,mj->m", off, np.linalg.inv(expected.ellipses()), off)
         return uv, self._visible[point] & (chi2 < GATE)
 
-    def new_features(
-        self, state: State, uv_px: FloatArray, in_view: BoolArray, ids: IntArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def new_features(self, state: State, ids: IntArray) -> tuple[FloatArray, FloatArray]:
         known = list(self._point_of.values())
         free = self._rng.permutation(np.setdiff1d(np.flatnonzero(self._visible), known))
-        taken = list(uv_px[in_view])
+        taken = list(state.in_view(self._lens)[1])
         kept: list[int] = []
         for i in free.tolist():
             if len(taken) < NUM_FOLLOWED and all(np.abs(self._uv[i] - uv).max() > 20.0 for uv in taken):
@@ -103,7 +101,7 @@ class PointFinder:
                 taken.append(self._uv[i])
         kept = kept[: len(ids)]
         self._point_of |= dict(zip(ids.tolist(), kept, strict=False))
-        return self._uv[np.array(kept, dtype=np.int64)], np.ones(len(kept))
+        return self._uv[np.array(kept, dtype=np.int64)], np.tile(np.eye(2), (len(kept), 1, 1))
 
 
 def rendered(path: Trajectory, calibration: Calibration, seed: int) -> Iterator[ImageFrame]:

@@ -1,18 +1,15 @@
-"""One frame of MonoSLAM: predict, look where the features should be, agree on what was found, update, tend the map.
-
-`process` is the algorithm. Pure: what looks into the image is handed in (`Finder`).
-"""
+"""One frame of MonoSLAM, in `MonoFilter.process`. Pure: what looks into the image is handed in (`Finder`)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from shared.geometry import FloatArray, IntArray
 from station.slam.mono.config import MonoConfig
-from station.slam.mono.state import Expected, State
+from station.slam.mono.state import Expected, State, diagonal_blocks
 from station.slam.mono.window import Measured, Window
 from station.vision.lens import BoolArray, Lens
 
@@ -26,13 +23,8 @@ class Finder(Protocol):
         """Where the expected features are (M, 2), and which of them were found (M,)."""
         ...
 
-    def new_features(
-        self, state: State, uv_px: FloatArray, in_view: BoolArray, ids: IntArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Pixels (K, 2) and State.noise (K,) of what is worth following from now on, under the first K of these ids.
-
-        uv_px, in_view: (N, 2), (N,) of the state's features.
-        """
+    def new_features(self, state: State, ids: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Pixels (K, 2) and State.noise (K, 2, 2) of what to follow from now on, by the first K of these ids."""
         ...
 
 
@@ -71,26 +63,23 @@ class MonoFilter:
 
     def _choose(self, state: State) -> Expected:
         """The features in view, the most informative (S is largest beside their noise) where there are too many."""
-        seen = state.predict(self._lens)
-        in_view = seen.is_ahead & self._lens.is_inside(seen.uv_px, MARGIN_PX)
-        expected = state.expect(self._lens, np.flatnonzero(in_view), self.sigma_px)
-        gain = np.linalg.det(expected.ellipses()) / state.noise[expected.rows] ** 4
+        in_view, _ = state.in_view(self._lens, MARGIN_PX)
+        expected = state.expect(self._lens, in_view, self.sigma_px)
+        gain = np.linalg.det(expected.ellipses()) / np.linalg.det(state.noise[expected.rows])
         return expected.of(np.sort(np.argsort(-gain, kind="stable")[: self._config.num_measured]))
 
     def _compatible(self, expected: Expected, uv: FloatArray, found: IntArray) -> IntArray:
         """Which of the found measurements (K,) agree with each other; uv (M, 2) are measured pixels.
 
-        All innovations nu are one Gaussian with covariance S, in which S^-1 says what each of them should be where the
-        others are known: off by (S^-1)_ii^-1 (S^-1 nu)_i, with covariance (S^-1)_ii^-1. While one contradicts, the one
-        that does so most goes.
-        Source: Neira and Tardos, Data association in stochastic mapping using the joint compatibility test, IEEE T-RA
-        17(6), 2001; patches have one candidate each, so that no tree has to be searched.
+        All innovations nu are one Gaussian with covariance S. Where the others are known, one of them is off by
+        (S^-1)_ii^-1 (S^-1 nu)_i, with covariance (S^-1)_ii^-1. While one contradicts, the worst goes.
+        Source: Neira and Tardos, IEEE T-RA 17(6), 2001, joint compatibility; patches have one candidate each: no tree.
         """
         while len(found):
             chosen = expected.of(found)
             information = np.asarray(np.linalg.inv(chosen.S), dtype=np.float64)
             left = (information @ (uv[found] - chosen.uv_px).ravel()).reshape(-1, 2)
-            own = replace(chosen, S=information).ellipses()
+            own = diagonal_blocks(information, 2)
             chi2 = np.einsum("mi,mij,mj->m", left, np.linalg.inv(own), left)
             worst = int(np.argmax(chi2))
             if chi2[worst] < self._config.agree_chi2:
@@ -99,14 +88,11 @@ class MonoFilter:
         return found
 
     def _go_again(self, image: Measured, num_found: int) -> list[State]:
-        """Keep the image; now and then, and where the window ends, go through all of its images once more.
-
-        Where few features are found, little but the motion model links what comes to what was. It is a start like the
-        first one, so a window ends.
-        """
+        """Keep the image; now and then, and where the window ends, go through all of its images once more."""
         config = self._config
         self._images = [kept.only(self.state.ids) for kept in [*self._images, image]]
         count = len(self._images)
+        # Where little is found, only the motion model links what comes to what was: a start like the first one.
         is_end = count == config.window_images[-1] or (count > 1 and num_found < config.min_found)
         if not is_end and count not in config.window_images:
             return []
@@ -130,16 +116,13 @@ class MonoFilter:
         leave |= (wanted >= config.min_tries) & (found < config.min_found_share * wanted)
         unseen = np.flatnonzero(~leave & (found == 0))  # the oldest first
         leave[unseen[: max(int((~leave).sum()) + config.num_measured - config.max_features, 0)]] = True
-        self.state = state.without(leave)
+        self.state = state.only(state.ids[~leave])
 
     def _add(self, finder: Finder) -> tuple[IntArray, FloatArray]:
         """New features where the picture has too few: their ids and pixels."""
         state, config = self.state, self._config
-        seen = state.predict(self._lens)
-        in_view = seen.is_ahead & self._lens.is_inside(seen.uv_px)
-        room = max(config.max_features - len(state.ids), 0)
-        uv, noise = finder.new_features(state, seen.uv_px, in_view, np.arange(self.next_id, self.next_id + room))
-        ids = np.arange(self.next_id, self.next_id + len(uv))
-        self.next_id += len(ids)
+        ids = self.next_id + np.arange(max(config.max_features - len(state.ids), 0))
+        uv, noise = finder.new_features(state, ids)
+        ids, self.next_id = ids[: len(uv)], self.next_id + len(uv)
         self.state = state.with_features(ids, uv, noise, self._lens, config, self.sigma_px)
         return ids, uv

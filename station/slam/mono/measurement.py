@@ -1,9 +1,9 @@
 """Where the camera should see a feature, and how that changes with the state (thesis 2.4, 2.5, C.1 to C.5).
 
 A feature is a row y (6,): x_i, y_i, z_i, theta_i, phi_i, rho_i with inverse depth (C.2), or X, Y, Z and three zeros
-(C.1). The camera's axes here are x right, y down, z along the view, as everywhere in this project. The thesis prints
-eq. 2.5 for axes turned by half a turn about the view, hence its minus signs; and C.5 with a bracket too early: r^WC is
-scaled by rho as well, else a far point would not stay where it is.
+(C.1). The camera's axes are x right, y down, z along the view. The thesis prints eq. 2.5 for axes turned by half a turn
+about the view, hence its minus signs; and C.5 with a bracket too early: r^WC is scaled by rho too, else a far point
+would not stay where it is.
 """
 
 from __future__ import annotations
@@ -45,10 +45,7 @@ def angles_of(ray: FloatArray) -> tuple[FloatArray, FloatArray]:
 def first_seen(
     r: FloatArray, R: FloatArray, uv_px: FloatArray, rho: float, lens: Lens
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Features y (N, 6) of eq. C.2 from one view of them at pixels (N, 2), from r (3,) with attitude R (3, 3).
-
-    With the derivatives by the camera's pose (N, 6, 6), and by pixel and inverse depth (N, 6, 3).
-    """
+    """Features y (N, 6) of eq. C.2 from one view of them; derivatives by pose (N, 6, 6), by pixel and rho (N, 6, 3)."""
     h = homogeneous(lens.unproject(uv_px))
     angles, by_ray = angles_of(h @ R.T)
     y = np.column_stack([np.tile(r, (len(h), 1)), angles, np.full(len(h), rho)])

@@ -1,9 +1,8 @@
 """The camera moves smoothly: constant velocity and angular velocity, pushed by unknown impulses (thesis 2.1 to 2.3).
 
 The camera's state x_v is r^W, q^WR, v^W, omega^R: position, attitude and velocity in the world W, angular velocity in
-the camera's own axes R (x right, y down, z along the view). The attitude is kept as the rotation matrix R^WR. Its four
-numbers in x_v are three here: the small turn, in axes R, by which R^WR may be off. So x_v has 12 numbers, and the three
-of the turn are zero but in differences and covariances.
+the camera's own axes R (x right, y down, z along the view). For the four numbers of q stand the matrix R^WR and the
+small turn, in axes R, by which it may be off: three numbers, zero but in differences and covariances.
 """
 
 from __future__ import annotations
@@ -19,22 +18,12 @@ CAMERA = 12  # size of the camera's part of the state
 POSE = 6  # position and attitude: all that an image depends on
 
 
-def first_camera(config: MonoConfig) -> tuple[FloatArray, FloatArray]:
-    """x_v (12,) and covariance (12, 12) at the first image, whose pose is the world: known, by definition."""
-    sigma = np.repeat([0.0, 0.0, config.sigma_first_velocity, config.sigma_first_turn], 3)
-    return np.zeros(CAMERA), np.diag(sigma**2)
-
-
 def move(
     x_v: FloatArray, R: FloatArray, impulse: FloatArray, dt_s: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """f_v of eq. 2.2 after dt.
+    """f_v of eq. 2.2: the camera's x_v (12,) and R (3, 3) after dt; its derivatives by x_v (12, 12) and by n (12, 6).
 
-    Args:
-        x_v: (12,) the camera's state, with R (3, 3) its attitude.
-        impulse: (6,) n of eq. 2.1: V^W (units/s) and Omega^R (rad/s).
-    Returns:
-        The new x_v and R; the derivatives of the new state by the old one (12, 12) and by n (12, 6).
+    impulse: (6,) n of eq. 2.1: V^W (units/s) and Omega^R (rad/s).
     """
     new = x_v.copy()
     new[VELOCITY] += impulse[:3]

@@ -10,7 +10,7 @@ import scipy.linalg
 from shared.geometry import FloatArray, IntArray, se3, so3_exp, so3_log
 from station.slam.mono.config import MonoConfig
 from station.slam.mono.measurement import Predicted, bearing, first_seen, predict, to_xyz
-from station.slam.mono.motion import ATTITUDE, CAMERA, POSE, POSITION, first_camera, impulse_covariance, move
+from station.slam.mono.motion import ATTITUDE, CAMERA, POSE, POSITION, impulse_covariance, move
 from station.vision.lens import BoolArray, Lens
 
 
@@ -30,8 +30,13 @@ class Expected:
 
     def ellipses(self) -> FloatArray:
         """S_i of eq. 2.6 (M, 2, 2), each feature's own: the blocks on the diagonal."""
-        M = np.arange(len(self.rows))
-        return self.S.reshape(len(M), 2, len(M), 2)[M, :, M]
+        return diagonal_blocks(self.S, 2)
+
+
+def diagonal_blocks(A: FloatArray, k: int) -> FloatArray:
+    """The blocks (M, k, k) on the diagonal of A (M k, M k): a view."""
+    M = len(A) // k
+    return np.asarray(np.einsum("iaib->iab", A.reshape(M, k, M, k)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,12 +48,14 @@ class State:
     P: FloatArray  # (n, n)
     ids: IntArray  # (N,) of the features
     is_inverse: BoolArray  # (N,) six numbers (C.2) instead of three (C.1)
-    noise: FloatArray  # (N,) of how many sigma_px its pixels are measured
+    noise: FloatArray  # (N, 2, 2) covariance of its pixels, times sigma_px^2
 
     @classmethod
     def first(cls, config: MonoConfig) -> State:
-        x, P = first_camera(config)
-        return cls(x, np.eye(3), P, np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool), np.zeros(0))
+        """At the first image, whose pose is the world: known, by definition."""
+        P = np.diag(np.repeat([0.0, 0.0, config.sigma_first_velocity, config.sigma_first_turn], 3) ** 2)
+        none = np.zeros(0, dtype=np.int64)
+        return cls(np.zeros(CAMERA), np.eye(3), P, none, none > 0, np.zeros((0, 2, 2)))
 
     @property
     def T_world_cam(self) -> FloatArray:
@@ -67,12 +74,12 @@ class State:
         y[~self.is_inverse, 3:] = 0.0
         return y
 
-    def points(self) -> tuple[FloatArray, FloatArray]:
-        """All features as points (N, 3), eq. C.3, with their covariances (N, 3, 3)."""
-        y, rows, inverse = self.features(), self.rows(), self.is_inverse
-        p, J = y[:, :3].copy(), np.tile(np.eye(3, 6), (len(y), 1, 1))
-        p[inverse], J[inverse] = to_xyz(y[inverse])
-        return p, J @ self.P[rows[:, :, None], rows[:, None, :]] @ np.swapaxes(J, 1, 2)
+    def points(self) -> FloatArray:
+        """All features as points (N, 3), eq. C.3."""
+        y, far = self.features(), self.is_inverse
+        p = y[:, :3].copy()
+        p[far] = to_xyz(y[far])[0]
+        return p
 
     # ---- time
 
@@ -90,11 +97,14 @@ class State:
     def predict(self, lens: Lens) -> Predicted:
         return predict(self.x[POSITION], self.R, self.features(), self.is_inverse, lens)
 
-    def expect(self, lens: Lens, rows: IntArray, sigma_px: float, at: State | None = None) -> Expected:
-        """What an image should show of these features (M,).
+    def in_view(self, lens: Lens, margin_px: float = 0.0) -> tuple[IntArray, FloatArray]:
+        """Rows (K,) of the features that the camera should see, and their pixels (K, 2)."""
+        seen = self.predict(lens)
+        rows = np.flatnonzero(seen.is_ahead & lens.is_inside(seen.uv_px, margin_px))
+        return rows, seen.uv_px[rows]
 
-        at: where the derivatives are taken, instead of here; it has these features as well.
-        """
+    def expect(self, lens: Lens, rows: IntArray, sigma_px: float, at: State | None = None) -> Expected:
+        """What an image should show of these features (M,), its derivatives taken here or at a state that has them."""
         there = rows if at is None else np.searchsorted(at.ids, self.ids[rows])
         seen = (self if at is None else at).predict(lens)
         uv, H_x, H_y, mine = seen.uv_px[there], seen.by_pose[there], seen.by_feature[there], self.rows()[rows]
@@ -106,8 +116,9 @@ class State:
             pose = np.concatenate([self.x[POSITION] - at.x[POSITION], so3_log(at.R.T @ self.R)])
             feature = self.x[mine] - at.x[at.rows()[there]]
             uv = uv + H_x @ pose + (H_y @ feature[:, :, None])[:, :, 0]
-        R = np.repeat(sigma_px * self.noise[rows], 2) ** 2  # of eq. 2.6
-        return Expected(rows, uv, HP, 0.5 * (S + S.T) + np.diag(R))
+        S = 0.5 * (S + S.T)
+        diagonal_blocks(S, 2)[:] += sigma_px**2 * self.noise[rows]  # R of eq. 2.6
+        return Expected(rows, uv, HP, S)
 
     def updated(self, expected: Expected, uv_px: FloatArray) -> State:
         """The Kalman update with measured pixels (M, 2): x + P H^T S^-1 nu, P - P H^T S^-1 H P."""
@@ -130,11 +141,12 @@ class State:
         if not len(ids):
             return self
         y, J, by_own = first_seen(self.x[POSITION], self.R, uv_px, config.first_inverse_depth, lens)  # eq. C.2
-        sigma = np.insert(np.tile(sigma_px * noise, (2, 1)), 2, config.sigma_first_inverse_depth, axis=0).T  # (K, 3)
-        own = by_own * sigma[:, None] ** 2 @ np.swapaxes(by_own, 1, 2)
+        own = np.tile(np.diag([0.0, 0.0, config.sigma_first_inverse_depth**2]), (len(ids), 1, 1))
+        own[:, :2, :2] = sigma_px**2 * noise
         J = J.reshape(-1, POSE)
         with_state = J @ self.P[:POSE]
-        among = with_state[:, :POSE] @ J.T + scipy.linalg.block_diag(*own)
+        among = with_state[:, :POSE] @ J.T
+        diagonal_blocks(among, 6)[:] += by_own @ own @ np.swapaxes(by_own, 1, 2)
         return replace(
             self,
             x=np.concatenate([self.x, y.ravel()]),
@@ -145,10 +157,8 @@ class State:
         )
 
     def linearity(self) -> FloatArray:
-        """L_d (N,) of inverse-depth features, small where XYZ would do as well; infinity of XYZ features.
-
-        Source: Civera, Davison and Montiel, IEEE T-RO 24(5), 2008, eq. 28: 4 sigma_d |cos alpha| / d.
-        """
+        """L_d (N,) of inverse-depth features, small where XYZ would do as well; infinity of XYZ features."""
+        # Source: Civera, Davison and Montiel, IEEE T-RO 24(5), 2008, eq. 28: 4 sigma_d |cos alpha| / d
         y, row = self.features(), self.rows()[:, 5]
         rho, m = np.maximum(y[:, 5:], 1e-6), bearing(y[:, 3:5])
         away = y[:, :3] + m / rho - self.x[POSITION]
@@ -159,25 +169,18 @@ class State:
     def with_xyz(self, which: BoolArray) -> State:
         """These inverse-depth features (N,) as XYZ (eq. C.3)."""
         rows, (p, J) = self.rows()[which], to_xyz(self.features()[which])
-        x, P = self.x.copy(), self.P.copy()
+        x, A = self.x.copy(), np.eye(len(self.x))
         x[rows[:, :3]] = p
-        for six, by_six in zip(rows, J, strict=True):
-            P[six[:3]] = by_six @ P[six]
-            P[:, six[:3]] = P[:, six] @ by_six.T
-        return replace(self, x=x, P=P, is_inverse=self.is_inverse & ~which)._keeping(self.ids, rows[:, 3:])
+        A[rows[:, :3, None], rows[:, None, :]] = J
+        state = replace(self, x=x, P=A @ self.P @ A.T, is_inverse=self.is_inverse & ~which)
+        return state._without_numbers(rows[:, 3:])
 
     def only(self, ids: IntArray) -> State:
-        return self.without(~np.isin(self.ids, ids))
+        rows, stay = self.rows(), np.isin(self.ids, ids)
+        gone = np.append(rows[~stay, :3], rows[~stay & self.is_inverse, 3:])
+        state = replace(self, ids=self.ids[stay], is_inverse=self.is_inverse[stay], noise=self.noise[stay])
+        return state._without_numbers(gone)
 
-    def without(self, leave: BoolArray) -> State:
-        """Fewer features; leave (N,) says which go."""
-        rows = self.rows()
-        gone = np.append(rows[leave, :3], rows[leave & self.is_inverse, 3:])
-        return replace(self, is_inverse=self.is_inverse[~leave], noise=self.noise[~leave])._keeping(
-            self.ids[~leave], gone
-        )
-
-    def _keeping(self, ids: IntArray, gone: IntArray) -> State:
-        """With these ids, and without these numbers of x."""
+    def _without_numbers(self, gone: IntArray) -> State:
         keep = np.delete(np.arange(len(self.x)), gone)
-        return replace(self, x=self.x[keep], P=self.P[np.ix_(keep, keep)], ids=ids)
+        return replace(self, x=self.x[keep], P=self.P[np.ix_(keep, keep)])

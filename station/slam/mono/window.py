@@ -1,10 +1,8 @@
 """Some images once more: the same filter, its derivatives taken where it ended instead of where it guessed.
 
-While little has moved, an image shows inverse depth times velocity, both unknown, and a filter that takes derivatives
-at its first guesses becomes far too sure of them. So it goes back through its measurements, which says where the
-camera was as far as is known by then, and forward again from before them with the derivatives of that path. Where most
-features are new it does so a second time from the mirror image of that path, where a Gaussian may have settled, and
-keeps what fits better.
+While little has moved, an image shows inverse depth times velocity, both unknown, and derivatives at first guesses make
+the filter far too sure of them. So it goes back through its measurements, and forward again from before them with the
+derivatives of that path; where most features are new also from the mirror image of that path. What fits better stays.
 Source: the iterated extended Kalman smoother, Bell, SIAM J. Optimization 4(3), 1994: a Gauss-Newton step a round.
 """
 
@@ -21,8 +19,8 @@ from station.slam.mono.motion import POSE, POSITION
 from station.slam.mono.state import State
 from station.vision.lens import Lens
 
-MAX_ROUNDS = 8  # less where the noise no longer changes
-SETTLED = 0.05  # relative change of the noise
+MAX_ROUNDS = 8  # less where the errors no longer change
+SETTLED = 0.1  # change of the mean squared error, of the noise's square
 BAD_SIGMAS = 2.0  # a feature whose errors are larger on the mean is no fixed point
 MIN_FREE = 60  # degrees of freedom; fewer say too little of the noise
 MEDIAN_CHI2 = 1.386  # of two degrees of freedom
@@ -43,17 +41,13 @@ class Measured:
 
 
 class Window:
-    """Some images in a row, and what they say together."""
+    """Some images in a row, from a state before the first of them, and what they say together."""
 
     def __init__(self, lens: Lens, config: MonoConfig, first: State, images: list[Measured]) -> None:
-        """first: before the first image."""
         self._lens, self._config, self._first, self._images = lens, config, first, images
 
     def again(self, state: State, sigma_px: float) -> tuple[list[State], float]:
-        """The states after each image, the last one honest of its errors; and the noise that was left, px.
-
-        state: after the last image, with its features in the order in which they came.
-        """
+        """The states after each image, the last one honest of its errors; and the noise that was left, px."""
         ids = np.concatenate([image.ids for image in self._images])
         paths = [self._back(self._images, state.only(ids), sigma_px)]  # no other features say where the camera was
         if np.isin(ids, self._first.ids).sum() < len(ids) / 2:
@@ -66,20 +60,23 @@ class Window:
 
     def _settled(self, path: list[State], sigma_px: float) -> tuple[list[State], float, float]:
         """Where rounds from this path lead; the noise, px; the squared errors, px^2, also of what is left out."""
-        good, images, noise_px = path[-1].ids, self._images, np.inf
+        good, before = path[-1].ids, np.inf
         for _ in range(MAX_ROUNDS):
-            images = [image.only(good) for image in images]
-            state = self._forth(self._first.only(good), images, path, sigma_px)
-            path, before_px = self._back(images, state, sigma_px), noise_px
+            images = [image.only(good) for image in self._images]
+            path = self._back(images, self._forth(self._first.only(good), images, path, sigma_px), sigma_px)
             squares, rows = self._errors(images, path)
             free = 2 * len(rows) - POSE * len(path) - 3 * len(good)
             if free > MIN_FREE:
                 noise_px = float(np.sqrt(np.median(squares) / MEDIAN_CHI2 * 2 * len(rows) / free))
                 sigma_px = max(noise_px, self._config.min_sigma_px)
-            if abs(noise_px - before_px) < SETTLED * sigma_px:
-                break
+            change, before = abs(squares.sum() - before), squares.sum()
+            if change > SETTLED * len(rows) * sigma_px**2:
+                continue
             mean = np.bincount(rows, squares, len(good)) / np.maximum(2 * np.bincount(rows, minlength=len(good)), 1)
-            good = good[mean <= (BAD_SIGMAS * sigma_px) ** 2]
+            is_bad = mean > (BAD_SIGMAS * sigma_px) ** 2
+            if not is_bad.any():
+                break
+            good = good[~is_bad]
         num_left_out = sum(len(image.ids) for image in self._images) - len(rows)
         return path, sigma_px, float(squares.sum()) + num_left_out * 2 * (BAD_SIGMAS * sigma_px) ** 2
 
@@ -107,20 +104,19 @@ class Window:
         return state.updated(state.expect(self._lens, rows, sigma_px, at), image.uv_px)
 
     def _errors(self, images: list[Measured], path: list[State]) -> tuple[FloatArray, IntArray]:
-        """Squared errors (K,) px^2 of all measurements, coarse ones as if sharp, and their features' rows (K,)."""
+        """Squared errors (K,) px^2 of all measurements, as if of noise 1, and their features' rows (K,)."""
         rows = [np.searchsorted(state.ids, image.ids) for image, state in zip(images, path, strict=True)]
         seen = [state.predict(self._lens).uv_px[row] for state, row in zip(path, rows, strict=True)]
         row = np.concatenate(rows)
         error = np.concatenate([image.uv_px for image in images]) - np.concatenate(seen)
-        return ((error / path[-1].noise[row, None]) ** 2).sum(axis=1), row
+        return np.einsum("ki,kij,kj->k", error, np.linalg.inv(path[-1].noise)[row], error), row
 
 
 def mirrored(state: State, first: State) -> State:
     """The world that moves alike in the images: near and far exchanged, the camera on the other side, and turned.
 
-    As the first camera sees it, a pixel moves to first order by rho (-V_x, -V_y) + (-Omega_y, Omega_x), the same for
-    2 mean - rho, -V and Omega + 2 mean (-V_y, V_x): the reversal of a relief, which only a longer path tells from the
-    truth. Features that were known at first stay.
+    Seen by the first camera, a pixel moves to first order by rho (-V_x, -V_y) + (-Omega_y, Omega_x), the same for
+    2 mean - rho, -V and Omega + 2 mean (-V_y, V_x): a relief reversed. Features that were known at first stay.
     """
     new = state.is_inverse & ~np.isin(state.ids, first.ids)
     y, r, R = state.features()[new], first.x[POSITION], first.R

@@ -61,10 +61,10 @@ def test_features_become_points_where_they_are_known_well_enough() -> None:
     state = mono.state
     assert 0 < state.is_inverse.sum() < len(state.ids)
     assert len(state.x) == CAMERA + 6 * state.is_inverse.sum() + 3 * (~state.is_inverse).sum()
-    p, cov = state.points()
+    p = state.points()
     scale = absolute_trajectory_error(found, truth, "sim3").alignment
     p_true = transform(scale.T_target_source, p[~state.is_inverse])
-    assert np.isfinite(p_true).all() and (np.linalg.eigvalsh(cov) > -1e-9).all()
+    assert np.isfinite(p_true).all()
 
 
 def test_covariance_stays_symmetric_and_positive_and_the_attitude_a_rotation() -> None:

@@ -12,6 +12,7 @@ from station.vision.lens import Lens
 from tests.support.mono import RATE_HZ, hand_held_camera, hand_held_path
 
 SEED, IMAGES, POINTS = 0, 40, 30
+ONES = np.tile(np.eye(2), (POINTS, 1, 1))  # noise of the features
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +35,7 @@ def seen() -> tuple[Lens, list[Measured], State]:
             state = state.moved(config, 1.0 / RATE_HZ)
             state = state.updated(state.expect(lens, inside, config.sigma_px), uv[inside])
         else:
-            state = state.with_features(ids, uv, np.ones(POINTS), lens, config, config.sigma_px)
+            state = state.with_features(ids, uv, ONES, lens, config, config.sigma_px)
     return lens, images, state
 
 
@@ -62,12 +63,12 @@ def test_start_gives_the_state_after_each_image_beginning_where_the_world_is(
 
 def test_mirror_image_moves_alike_and_leaves_what_was_known_before(seen: tuple[Lens, list[Measured], State]) -> None:
     lens, config, rng = seen[0], MonoConfig(), np.random.default_rng(SEED)
-    uv, ones = rng.uniform([100.0, 100.0], [540.0, 380.0], (POINTS, 2)), np.ones(POINTS)
+    uv = rng.uniform([100.0, 100.0], [540.0, 380.0], (POINTS, 2))
     x = np.insert(np.zeros(9), 0, [0.5, -0.2, 1.0])
     start = replace(State.first(config), x=x, R=so3_exp(np.array([0.2, -0.4, 0.1])))
     old, new = np.arange(POINTS), np.arange(POINTS, 2 * POINTS)
-    first = start.with_features(old, uv, ones, lens, config, config.sigma_px)
-    state = first.with_features(new, uv[::-1], ones, lens, config, config.sigma_px)
+    first = start.with_features(old, uv, ONES, lens, config, config.sigma_px)
+    state = first.with_features(new, uv[::-1], ONES, lens, config, config.sigma_px)
     x = state.x.copy()
     x[state.rows()[:, 5]] += rng.uniform(-0.1, 0.1, 2 * POINTS)
     x[POSITION] += first.R @ [0.02, 0.03, 0.0]
