@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from shared.calibration import Calibration
-from shared.geometry import FloatArray, inverse, se3
+from shared.geometry import FloatArray, inverse, rotation_angle, se3
 from station.model.frames import ImageFrame
 from station.motion.head import HeadPose
 from station.motion.imu_buffer import ImuBuffer
-from station.motion.preintegration import ImuSegment, Preintegration, chain, preintegrate
+from station.motion.preintegration import ImuSegment, Preintegration, preintegrate
 from station.slam.ukf.filter.constraints import BodyVelocity
 from station.slam.ukf.filter.filter import RetiredClone, VioFilter
 from station.slam.ukf.filter.state import FilterState
@@ -22,12 +22,13 @@ from station.slam.ukf.map.calibration_check import CalibrationCheck
 from station.slam.ukf.map.keyframes import Keyframe, KeyframeStore, sample_colours
 from station.slam.ukf.map.landmark_map import LandmarkQuality, LiveMap
 from station.slam.ukf.map.pose_log import PoseLog
-from station.slam.ukf.map.views import MapViews
+from station.slam.ukf.map.views import MapViews, joined
 from station.vision.camera_model import CameraModel
 from station.vision.klt import TrackedFrame
 
 NO_LINK_NS = 10**9  # frames further apart than that are not linked by the IMU
 WAITING_NS = 4 * 10**9  # frames older than that no longer wait for a start
+MOST_TURNED = 24  # pictures between two poses of the window that wait to become views: two turns on the spot
 Points = tuple[FloatArray, FloatArray]  # (n, 3) positions, (n, 3) colours
 
 
@@ -44,6 +45,8 @@ class RecentFrame:
     head: HeadPose | None  # as told; None while it was never turned
     T_body_head: FloatArray | None = None  # (4, 4) as the filter knew it then
     is_still: bool = False  # the robot stands, by image and IMU
+    turned: tuple[Keyframe, ...] = ()  # of a turn between the frame before it in the window and this one
+    since_turned: Preintegration | None = None  # IMU since the last of these
 
 
 class NavigationMemory:
@@ -67,6 +70,7 @@ class NavigationMemory:
         self.keyframes = KeyframeStore(max_keyframes)
         self.live = LiveMap(camera, quality)
         self.segment = 0  # number of the present piece of unbroken tracking
+        self._T_world_retired = np.eye(4)  # pose of the newest keyframe
 
     def add(self, item: RecentFrame) -> None:
         self.recent[item.frame.index] = item
@@ -105,28 +109,63 @@ class NavigationMemory:
         if not retired.is_keyframe:
             after = self.recent.get(min((i for i in self.recent if i > retired.frame_index), default=-1))
             if after is not None:
-                after.link = None if old.link is None or after.link is None else chain(old.link, after.link)
+                self._pass_on(old, after, retired, state)
             return None
-        keyframe = Keyframe(
-            image=old.frame,
-            tracked=old.tracked,
-            rgb=old.rgb
-            if old.rgb is not None
-            else sample_colours(old.frame.half_bgr(), 0.5 * old.tracked.uv_px - 0.25),
-            T_world_head=T_world_head,
+        rgb = old.rgb
+        if rgb is None:
+            rgb = sample_colours(old.frame.half_bgr(), 0.5 * old.tracked.uv_px - 0.25)
+        keyframe = self._keyframe(old, rgb, retired, state)
+        self.keyframes.add(keyframe)
+        self.calibration_check.add(keyframe)
+        if self.views is not None:
+            for turned in old.turned:
+                self.views.add(replace(turned, T_world_head=self._T_world_retired @ turned.T_world_head))
+            self.views.add(replace(keyframe, link=old.since_turned) if old.turned else keyframe)
+        self._T_world_retired = T_world_head
+        return self.live.add(keyframe)
+
+    def _keyframe(
+        self, item: RecentFrame, rgb: npt.NDArray[np.uint8], retired: RetiredClone, state: FilterState
+    ) -> Keyframe:
+        return Keyframe(
+            image=item.frame,
+            tracked=item.tracked,
+            rgb=rgb,
+            T_world_head=retired.T_world_head,
             v_world=retired.v_world,
             omega_head=retired.omega_head,
             bias=np.concatenate([state.bias_gyro, state.bias_accel]),
             segment=self.segment,
-            link=old.link,
-            wheels=old.wheels,
-            T_body_head=T_body_head,
+            link=item.link,
+            wheels=item.wheels,
+            T_body_head=item.T_body_head,
         )
-        self.keyframes.add(keyframe)
-        self.calibration_check.add(keyframe)
-        if self.views is not None:
-            self.views.add(keyframe)
-        return self.live.add(keyframe)
+
+    def _pass_on(self, old: RecentFrame, after: RecentFrame, retired: RetiredClone, state: FilterState) -> None:
+        """A frame without parallax to the one before leaves the window: what it knows goes to the one after."""
+        since, link = old.since_turned if old.turned else old.link, after.link
+        after.link = joined(old.link, link)
+        after.turned, after.since_turned = old.turned, joined(since, link)
+        turned = self._turned(old, retired, state)
+        if turned is not None:
+            after.turned, after.since_turned = (*old.turned, replace(turned, link=since)), link
+
+    def _turned(self, item: RecentFrame, retired: RetiredClone, state: FilterState) -> Keyframe | None:
+        """A picture that may become a view although it gives the filter no parallax: of a turn on the spot.
+
+        Its pose is in the frame of the pose before in the window, which will be known better. None where the camera has
+        hardly turned.
+        """
+        before = int(np.searchsorted(state.clone_frame, retired.frame_index)) - 1
+        if self.views is None or len(item.turned) >= MOST_TURNED or before < 0:
+            return None
+        T_before_world = inverse(se3(state.clone_R[before], state.clone_x[before]))
+        T_before_head = T_before_world @ retired.T_world_head
+        R_last = item.turned[-1].T_world_head[:3, :3] if item.turned else np.eye(3)
+        if rotation_angle(R_last.T @ T_before_head[:3, :3]) < self.views.least_turn_rad:
+            return None
+        no_colours = np.zeros((0, 3), dtype=np.uint8)
+        return replace(self._keyframe(item, no_colours, retired, state), T_world_head=T_before_head)
 
     def flush(self, vio: VioFilter, outage_since: int | None) -> None:
         """All poses still in the window become keyframes: nothing will improve them any more."""

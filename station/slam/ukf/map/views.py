@@ -60,6 +60,12 @@ class MapViews:
         self._items: list[View] = []
         self._pairs: list[Pairs] = []  # indices into items, unverified
 
+    @property
+    def least_turn_rad(self) -> float:
+        """A camera that only turned by less shows no other view."""
+        camera = self._lens.camera
+        return self._spacing * self._config.min_flow * camera.width / camera.fx
+
     def add(self, keyframe: Keyframe) -> None:
         """Take a keyframe in; it becomes a view when it shows something else than the last one."""
         self._link = joined(self._link, keyframe.link) if self._is_linked else keyframe.link
