@@ -181,15 +181,18 @@ class ImageEvidence:
         sigma_rad = float(np.hypot(h.sigma_rad, m.sigma_rad))
         uniform = 1.0 / (max(self._maps[m.map_index].area_m2, 1.0) * 2 * np.pi)
 
-        def against(position_sigma_m: float, slipped: bool) -> Agreement:
-            sigma_m = float(np.hypot(position_sigma_m, m.sigma_m))
-            squared = gap_m**2 / sigma_m**2 + turn**2 / sigma_rad**2
-            peak = 1.0 / ((2 * np.pi) ** 1.5 * sigma_m**2 * sigma_rad)
+        sigma_m = float(np.hypot(h.sigma_m, m.sigma_m))
+
+        def against(slipped_m: float, slipped: bool) -> Agreement:
+            """Anywhere within `slipped_m` of where odometry has it: farther no wheel that slips leaves a robot."""
+            beyond_m = max(0.0, gap_m - slipped_m)
+            squared = beyond_m**2 / sigma_m**2 + turn**2 / sigma_rad**2
+            peak = 1.0 / ((2 * np.pi) ** 1.5 * (sigma_m**2 + slipped_m**2) * sigma_rad)
             tail = (1.0 + squared / FREEDOM) ** (-0.5 * (FREEDOM + 3.0))
             return Agreement(squared, max(peak / uniform, 1.0) * tail, slipped)
 
         slip = self.config.slip
-        rolled, slipped = against(h.sigma_m, slipped=False), against(h.slipped_sigma_m, slipped=True)
+        rolled, slipped = against(0.0, slipped=False), against(h.way_m, slipped=True)
         likelier = slipped if slip * slipped.density > (1 - slip) * rolled.density else rolled
         return replace(likelier, density=(1 - slip) * rolled.density + slip * slipped.density)
 

@@ -255,6 +255,15 @@ def test_a_look_alike_that_only_slipping_wheels_explain_does_not_take_a_sure_bel
     assert answer.position_map[0] == pytest.approx(6.0, abs=0.5)
 
 
+def test_slipping_wheels_explain_no_look_alike_that_is_farther_than_they_turned() -> None:
+    estimator = sure_at_the_first_place()
+    t_ns = drive_along(estimator, (0.0, 0.6))
+    estimator.on_candidates([seen(t_ns / SECOND, pose(3.4, 0.0))])
+    answer = estimator.answer(t_ns)
+    assert answer.state == "known" and answer.position_map is not None
+    assert answer.position_map[0] == pytest.approx(0.6, abs=0.1)
+
+
 def test_wheels_that_turned_on_the_spot_are_seen_by_what_stays_in_view() -> None:
     estimator = sure_at_the_first_place()
     t_ns = drive_along(estimator, (0.0, 3.0))  # the robot stands at a wall
