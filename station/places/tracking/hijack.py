@@ -22,6 +22,8 @@ from station.motion.head import AHEAD, Aim
 from station.vision.features import Features, similarities
 from station.vision.matching import clearly_nearest
 
+QUIET_NS = 5_000_000_000  # cues so near to each other are of one hijack
+
 
 @dataclass(frozen=True, slots=True)
 class HijackConfig:
@@ -63,6 +65,7 @@ class HijackDetector:
         gap_s = self.config.view_gap_s if has_wheels else self.config.view_gap_carried_s
         self._views = _ViewCue(self.config, gap_s)
         self._quiet_until_ns = 0
+        self._quiet_jumps_until_ns = 0
 
     @property
     def is_carried(self) -> bool:
@@ -91,13 +94,18 @@ class HijackDetector:
         if moved < 0.5:
             return None
         where = "in another map than it was in" if is_other_map else f"{distance_m:.1f} m away from where it was"
-        return self._once(HijackEvent(t_robot_ns, "position", f"recognised {where}", moved))
+        if t_robot_ns < max(self._quiet_until_ns, self._quiet_jumps_until_ns):
+            return None
+        # Of jumps only: it stands there, and a hand that takes it after that is another hijack.
+        self._quiet_jumps_until_ns = t_robot_ns + QUIET_NS
+        self._views.forget()
+        return HijackEvent(t_robot_ns, "position", f"recognised {where}", moved)
 
     def _once(self, event: HijackEvent | None) -> HijackEvent | None:
-        """Cues of the same hijack within five seconds are one event."""
+        """Cues of the same hijack are one event."""
         if event is None or event.t_robot_ns < self._quiet_until_ns:
             return None
-        self._quiet_until_ns = event.t_robot_ns + 5_000_000_000
+        self._quiet_until_ns = event.t_robot_ns + QUIET_NS
         self._views.forget()
         return event
 

@@ -134,6 +134,15 @@ def test_a_jump_of_the_estimate_is_one_event() -> None:
     assert other is not None and "another map" in other.reason
 
 
+def test_a_robot_that_is_lifted_right_after_a_jump_of_the_estimate_is_hijacked_again() -> None:
+    detector = HijackDetector()
+    feed(detector, imu(seconds(3), seconds(3)))
+    assert detector.on_jump(3 * SECOND, 3.3, is_other_map=False, moved=0.9) is not None
+    [event] = feed(detector, imu(seconds(0.8), lift(), 3.0, 1))
+    assert event.cue == "imu"
+    assert detector.on_jump(event.t_robot_ns + SECOND, 4.0, is_other_map=False, moved=0.9) is None  # what it led to
+
+
 def test_dead_reckoning_follows_gyro_and_commands() -> None:
     reckoning = DeadReckoning()
     for batch in imu(seconds(2), seconds(2)):
