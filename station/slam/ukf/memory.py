@@ -28,7 +28,7 @@ from station.vision.klt import TrackedFrame
 
 NO_LINK_NS = 10**9  # frames further apart than that are not linked by the IMU
 WAITING_NS = 4 * 10**9  # frames older than that no longer wait for a start
-MOST_TURNED = 24  # pictures between two poses of the window that wait to become views: two turns on the spot
+MOST_TURNED = 24  # pictures between two poses of the window: a turn out of view has ten, turning to and fro no end
 Points = tuple[FloatArray, FloatArray]  # (n, 3) positions, (n, 3) colours
 
 
