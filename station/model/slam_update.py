@@ -28,3 +28,6 @@ class SlamUpdate:
     segment: int = 0
     scale: Literal["metric", "arbitrary"] = "metric"  # of poses and points
     calibration_fit: CalibrationFit | None = None  # what the drive so far says of it
+    # (4, 4) where the world of poses and points, which drifts and never jumps, lies in the map of what was seen again
+    # (REP-105: world is odom); None where nobody looks for that.
+    T_map_world: FloatArray | None = None

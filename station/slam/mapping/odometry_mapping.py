@@ -20,7 +20,7 @@ from station.model.frames import ImageFrame
 from station.motion.inertial_track import InertialTrack
 from station.slam.mapping.assemble import Reconstructed, good_landmarks, make_keyframes, make_landmarks
 from station.slam.mapping.config import MappingConfig
-from station.slam.mapping.loops import find_loops
+from station.slam.mapping.loops import find_loops, landmarks_shown
 from station.slam.mapping.odometry import MOTION_START, Odometry, RelativeMotions
 from station.slam.mapping.odometry_bundle import (
     BundleState,
@@ -204,12 +204,10 @@ def stood_still(
 
 def agreed(matches: Sequence[Pairs], tracks: Tracks, counts: Sequence[int]) -> list[Pairs]:
     """The pairs of each match whose two features show one landmark of these tracks."""
-    first = np.concatenate([[0], np.cumsum(counts)])
-    shown = np.full(first[-1], -1, dtype=np.int64)
-    shown[first[tracks.keyframe] + tracks.feature] = tracks.point
+    shown = landmarks_shown(tracks, counts)
     out: list[Pairs] = []
     for a, b, pairs in matches:
-        of_a, of_b = shown[first[a] + pairs[:, 0]], shown[first[b] + pairs[:, 1]]
+        of_a, of_b = shown[a][pairs[:, 0]], shown[b][pairs[:, 1]]
         out.append((a, b, pairs[(of_a >= 0) & (of_a == of_b)]))
     return out
 

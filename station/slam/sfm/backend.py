@@ -36,7 +36,7 @@ from station.slam.sfm.colmap import (
 )
 from station.slam.sfm.config import SfmConfig
 from station.slam.sfm.keyframes import KeyframeSelector
-from station.slam.sfm.shortlist import Shortlist
+from station.slam.mapping.shortlist import Shortlist
 from station.slam.sfm.world import place_in_world
 from station.vision.features import similarities
 from station.vision.lens import Lens
@@ -112,7 +112,7 @@ class SfmBackend:
         previous = config.num_previous_with_odometry if self._has_odometry else config.num_previous
         older = list(range(max(0, b - previous), b))
         if not self._has_odometry:  # with odometry, loops are looked for where poses say so
-            older = [*self._shortlist.most_alike(features, older[0] if older else 0), *older]
+            older = [*self._shortlist.most_alike(features, range(older[0] if older else 0)), *older]
             self._shortlist.add(features)
         self._frames.append(replace(frame, encoded=b""))
         self._encoded.append(frame.encoded)

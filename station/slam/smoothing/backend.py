@@ -7,6 +7,7 @@ result, bit for bit.
 from __future__ import annotations
 
 import itertools
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -24,6 +25,7 @@ from station.model.slam_update import SlamUpdate
 from station.motion.preintegration import preintegrate
 from station.slam.mapping.report import plain_settings
 from station.slam.smoothing.batch import GATES, BatchInput, as_keyframe, smooth_segment
+from station.slam.smoothing.closing import LoopCloser
 from station.slam.smoothing.config import SmoothingConfig
 from station.slam.smoothing.fixed_lag import FixedLagWindow
 from station.slam.smoothing.keyframe import SmoothKeyframe
@@ -71,6 +73,8 @@ class SmoothingBackend:
         self._all_still = True
         self._tables: dict[int, LandmarkTable] = {}
         self._between: list[FrameBetween] = []
+        self._closer: LoopCloser | None = None
+        self._T_map_odom = np.eye(4)
         self._head_turned = False
         self._restarts = 0  # of the window, where its equations had no single solution
         self._messages: list[str] = []
@@ -84,16 +88,17 @@ class SmoothingBackend:
         self._odometry.add_drive(drive)
 
     def add_frame(self, frame: ImageFrame) -> SlamUpdate:
-        """Follow the frame by the filter; make it a keyframe where it is one; carry the newest keyframe on to it."""
+        """Follow the frame by the filter; make it a keyframe where it is one; carry the newest keyframe on to it.
+
+        And look a step further for what its views show again.
+        """
         update = self._odometry.add_frame(frame)
         state, current = self._odometry.state, self._odometry.newest
         if current is not None and current.head is not None and not self._head_turned:
             self._leave_to_filter()
-        if self._head_turned:
-            return update
-        if state is None:
+        if self._head_turned or state is None:
             self._end_window()
-            return update
+            return replace(update, T_map_world=self._T_map_odom)
         if current is not None:
             self._follow(state, current)
         assert self._window is not None
@@ -105,7 +110,16 @@ class SmoothingBackend:
         if points is not None:
             T = newest.T_world_body @ inverse(self._T_filter)  # of the filter's world
             points = points @ T[:3, :3].T + T[:3, 3]
-        return replace(update, T_world_body=newest.T_world_body @ T_newest_now, new_points_world=points)
+        if self._closer is not None:
+            with self._odometry.one_thread():
+                self._closer.look()
+            self._T_map_odom = self._closer.T_map_odom
+        return replace(
+            update,
+            T_world_body=newest.T_world_body @ T_newest_now,
+            new_points_world=points,
+            T_map_world=self._T_map_odom,
+        )
 
     def _follow(self, state: FilterState, current: RecentFrame) -> None:
         self._frames_since += 1
@@ -116,14 +130,13 @@ class SmoothingBackend:
             self._add_keyframe(state, current)
 
     def _end_window(self) -> None:
-        self._window = None
+        self._window, self._closer = None, None
         self._odometry.imu_needed_since_ns = None
 
     def _leave_to_filter(self) -> None:
         """Keyframes are poses of the body to which the camera is fixed; on a turned head only the filter knows it."""
         self._head_turned = True
         self._messages.append(HEAD_TURNED)
-        self._end_window()
         self._keyframes, self._tables, self._between = [], {}, []
 
     def _since_keyframe(self, state: FilterState) -> FloatArray:
@@ -154,12 +167,25 @@ class SmoothingBackend:
             self._all_still = item.is_still
             keyframe = self._make(item, T, state.clone_v[i], state, state.clone_omega[i], item.tracked, NOTHING)
             self._append(keyframe, item.frame.grey())
+            self._between.append(FrameBetween(index, item.t_imu_ns, keyframe.number, np.eye(4)))
         if not self._window.keyframes:
             keyframe = self._make(
                 current, state.T_world_body, state.v, state, state.omega_body, current.tracked, NOTHING
             )
             self._append(keyframe, current.frame.grey())
         self._T_filter = state.T_world_body
+        if memory.views is not None:
+            self._closer = LoopCloser(
+                memory.views, memory.segment, self._pose_at, self._camera, self._noise, self._T_map_odom
+            )
+
+    def _pose_at(self, frame_index: int) -> FloatArray | None:
+        """(4, 4) of a frame, as its keyframe is known now."""
+        row = bisect_right(self._between, frame_index, key=lambda frame: frame.frame_index) - 1
+        if row < 0 or self._between[row].frame_index != frame_index:
+            return None
+        found = self._between[row]
+        return self._keyframes[found.keyframe].T_world_body @ found.T_keyframe_frame
 
     def _is_keyframe(self, current: RecentFrame) -> bool:
         assert self._window is not None

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 
 import cv2
@@ -290,6 +291,10 @@ class UkfBackend:
     @property
     def memory(self) -> NavigationMemory:
         return self._memory
+
+    def one_thread(self) -> AbstractContextManager[object]:
+        """In which additions have one order, whatever the machine."""
+        return self._blas.limit(limits=1)
 
     # ---- the end
 

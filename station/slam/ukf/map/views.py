@@ -7,7 +7,7 @@ again: when the robot comes back, and when it looks for its place in the map ano
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -92,6 +92,26 @@ class MapViews:
                 similarity = similarities(self._items[a].features, found.features)
                 self._pairs.append((a, b, match_both_ways(similarity, self.mapping.matching.max_ratio)))
         return True
+
+    def next_chosen(self, after: int) -> int | None:
+        """Frame index of the first view after a frame, described or not."""
+        frames = [v.frame_index for v in self._items] + [k.image.index for k in self._chosen]
+        return next((frame for frame in frames if frame > after), None)
+
+    def describe_until(self, frame_index: int) -> None:
+        """Describe the views up to one."""
+        while self._chosen and self._chosen[0].image.index <= frame_index:
+            self.describe_next()
+
+    def described(self) -> list[View]:
+        """The views described so far."""
+        return self._items
+
+    def matches_among(self, frame_index: Sequence[int]) -> list[Pairs]:
+        """Unverified matches between some of the views described; numbered as given."""
+        number = {frame: k for k, frame in enumerate(frame_index)}
+        at = [number.get(v.frame_index, -1) for v in self._items]
+        return [(at[a], at[b], pairs) for a, b, pairs in self._pairs if at[a] >= 0 and at[b] >= 0]
 
     def describe_all(self) -> tuple[list[View], list[Pairs]]:
         """All views, and the unverified matches between them."""

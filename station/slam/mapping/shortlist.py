@@ -1,6 +1,8 @@
-"""Which older keyframes look like a new one, where no odometry tells."""
+"""Which older keyframes look like a new one; it grows with every keyframe."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -20,14 +22,14 @@ class Shortlist:
     def add(self, features: Features) -> None:
         self._descriptors.append(to_unit(features.descriptors[: self._config.shortlist_features]))
 
-    def most_alike(self, query: Features, num_older: int) -> list[int]:
-        """Among the first num_older keyframes: those that look most like the query, best first."""
+    def most_alike(self, query: Features, older: Sequence[int]) -> list[int]:
+        """Among these keyframes: those that look most like the query, best first."""
         descriptors = to_unit(query.descriptors[: self._config.shortlist_features])
-        candidates = range(num_older)
-        if num_older > self._max_keyframes:  # long drives: the work per keyframe stays bounded
-            candidates = np.unique(np.linspace(0, num_older - 1, self._max_keyframes).astype(int)).tolist()
+        if len(older) > self._max_keyframes:  # long drives: the work per keyframe stays bounded
+            some = np.unique(np.linspace(0, len(older) - 1, self._max_keyframes).astype(int))
+            older = [older[k] for k in some.tolist()]
         scores = []
-        for k in candidates:
+        for k in older:
             pairs = match_both_ways(descriptors @ self._descriptors[k].T, self._config.max_ratio)
             scores.append((len(pairs), k))
         scores.sort(key=lambda score: (-score[0], score[1]))

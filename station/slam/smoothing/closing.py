@@ -1,0 +1,231 @@
+"""Loops closed while the robot drives (docs/slam.md, "Smoothing", 7): where the odometry's world lies in the map.
+
+The odometry (filter and window of keyframes) drifts and never jumps. What is seen again says where it has drifted to:
+T_map_odom. As REP-105 has it, who steers reads the odometry, who asks where the robot is reads T_map_odom with it.
+
+The work of a view is done in steps, one a frame, so that no frame waits for all of it and the same data give the
+same result, whoever has described views meanwhile.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from shared.calibration import ImuNoise
+from shared.geometry import FloatArray, inverse, se3
+from station.slam.mapping.config import MatchConfig
+from station.slam.mapping.loops import MAX_ANGLE_RAD, MAX_DISTANCE_M, MIN_APART, PNP_ERROR_PX
+from station.slam.mapping.loops import Seen, apart, landmarks_shown, recognise
+from station.slam.mapping.odometry import MOTION_START, Drift
+from station.slam.mapping.odometry_bundle import BundleState
+from station.slam.mapping.odometry_mapping import GATE, LAST_SCALES, triangulate_and_prune, verify_by_gyro
+from station.slam.mapping.pose_graph import LoopEdge, solve_pose_graph
+from station.slam.mapping.shortlist import Shortlist
+from station.slam.mapping.tracks import build_tracks
+from station.slam.ukf.map.view_map import DRIFT, relative_motions, straight_rays
+from station.slam.ukf.map.views import MapViews, View
+from station.vision.camera_model import CameraModel
+from station.vision.camera_pose import solve_pose_from
+
+PoseOf = Callable[[int], FloatArray | None]  # (4, 4) T_odom_body of a frame, by its index
+AROUND = 4  # views before and after an old one, from which its landmarks are triangulated
+RECENT = 12  # views within which another one must say the same of the drift
+AGREE = Drift(position_m=0.05, position_per_way=0.02, rotation_rad=0.02)  # two loops, with the way between them
+SIGMA_RAD, SIGMA_M = 0.004, 0.02  # of a loop, besides what its own residuals say
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Claim:
+    """That a view shows what an older one showed."""
+
+    old: int  # frame index
+    new: int
+    T_old_new: FloatArray  # (4, 4) of the body
+    sigma: FloatArray  # (6,)
+
+
+class LoopCloser:
+    """Looks for what each new view of a piece of tracking shows again; see `look`."""
+
+    def __init__(
+        self,
+        views: MapViews,
+        segment: int,
+        T_odom: PoseOf,
+        camera: CameraModel,
+        noise: ImuNoise,
+        T_map_odom: FloatArray,
+    ) -> None:
+        """Args:
+        T_odom: poses by the odometry as it has them when asked.
+        T_map_odom: (4, 4) as known when this piece of tracking begins.
+        """
+        self._views, self._segment, self._T_odom = views, segment, T_odom
+        self._camera, self._noise = camera, noise
+        self._config: MatchConfig = views.mapping.matching
+        self._T_body_cam = se3(camera.R_body_cam, camera.t_body_cam)
+        self._focal_px = camera.lens.camera.fx
+        self._shortlist = Shortlist(self._config)
+        self._listed: list[int] = []  # frame indices
+        self._newest = -1  # frame index of the newest view that was looked at
+        self._work: Iterator[None] = iter(())
+        self._claims: list[Claim] = []  # of the newest views
+        self._T_map: dict[int, FloatArray] = {}  # by frame index, as the graph has them
+        self.closed: dict[tuple[int, int], Claim] = {}  # by the frame indices of both
+        self.T_map_odom = T_map_odom
+
+    def look(self) -> None:
+        """Do the next step of what the views ask for. Called once a frame."""
+        for _ in self._work:
+            return
+        frame = self._views.next_chosen(self._newest)
+        if frame is not None:
+            self._newest = frame
+            self._work = self._look_back(frame)
+
+    # ---- the steps of one view
+
+    def _look_back(self, frame: int) -> Iterator[None]:
+        """Describe the view, see what it could show again, look at each of those, correct the map."""
+        self._views.describe_until(frame)
+        yield
+        views, T_odom = self._known(frame)
+        if not views or views[-1].frame_index != frame:
+            return
+        self._list(views)
+        alike = self._shortlist.most_alike(views[-1].features, self._within_reach(views, T_odom))
+        yield
+        found = False
+        for a in alike[: self._config.loops_per_keyframe]:
+            found = self._compare(views, T_odom, a) or found
+            yield
+        if found:
+            self._close(*self._known(frame))
+
+    def _known(self, frame: int) -> tuple[list[View], FloatArray]:
+        """This segment's views up to one, as far as the odometry has a pose for them: (N, 4, 4)."""
+        found = [
+            (v, T)
+            for v in self._views.described()
+            if v.segment == self._segment and v.frame_index <= frame and (T := self._T_odom(v.frame_index)) is not None
+        ]
+        return [v for v, _ in found], np.array([T for _, T in found]).reshape(-1, 4, 4)
+
+    def _list(self, views: list[View]) -> None:
+        frames = [v.frame_index for v in views]
+        if frames[: len(self._listed)] != self._listed:  # the views were thinned out
+            self._shortlist, self._listed = Shortlist(self._config), []
+        for v in views[len(self._listed) :]:
+            self._shortlist.add(v.features)
+        self._listed = frames
+
+    def _in_map(self, views: list[View], T_odom: FloatArray) -> FloatArray:
+        """(N, 4, 4) poses in the map: by the graph, those after it by the odometry since."""
+        later = self.T_map_odom @ T_odom
+        return np.array([self._T_map.get(v.frame_index, T) for v, T in zip(views, later, strict=True)])
+
+    def _way_untied(self, views: list[View], T_odom: FloatArray) -> float:
+        """Over which the odometry may have drifted: since the newest loop, or the beginning."""
+        tied = max((new for _, new in self.closed), default=-1)
+        return way_of(T_odom[[v.frame_index >= tied for v in views]])
+
+    def _within_reach(self, views: list[View], T_odom: FloatArray) -> list[int]:
+        """Views that this one may see the same as, wherever the odometry has drifted to."""
+        T_cam = self._in_map(views, T_odom) @ self._T_body_cam
+        older = T_cam[: max(0, len(views) - MIN_APART)]
+        angle = np.arccos(np.clip(older[:, :3, 2] @ T_cam[-1, :3, 2], -1.0, 1.0))
+        distance = np.linalg.norm(older[:, :3, 3] - T_cam[-1, :3, 3], axis=1)
+        drifted_m = DRIFT.position_m + DRIFT.position_per_way * self._way_untied(views, T_odom)
+        near = (angle < MAX_ANGLE_RAD + DRIFT.rotation_rad) & (distance < MAX_DISTANCE_M + drifted_m)
+        return [int(k) for k in np.flatnonzero(near)]
+
+    def _compare(self, views: list[View], T_odom: FloatArray, a: int) -> bool:
+        """Whether the newest view shows what view number `a` showed."""
+        new, T_map = views[-1], self._in_map(views, T_odom)
+        old = self._seen_by(views, T_odom, a, T_map[a] @ inverse(T_odom[a]))
+        rays = straight_rays(new, self._camera)
+        found = recognise(
+            old, new.features, rays, T_map[-1] @ self._T_body_cam,
+            self._way_untied(views, T_odom), self._focal_px, DRIFT, self._config,
+        )  # fmt: skip
+        if found is None:
+            return False
+        pose = solve_pose_from(
+            found.T_world_cam, found.points, rays[found.pairs[:, 1]], PNP_ERROR_PX / self._focal_px
+        )
+        if pose is None:
+            return False
+        sigma = np.sqrt(np.diag(pose.cov_pose) + np.repeat([SIGMA_RAD**2, SIGMA_M**2], 3))
+        T_old_new = inverse(T_map[a]) @ pose.T_map_cam @ inverse(self._T_body_cam)
+        turned = np.abs(self._T_body_cam[:3, :3])
+        sigma = np.concatenate([turned @ sigma[:3], turned @ sigma[3:]])
+        self._claims.append(Claim(views[a].frame_index, new.frame_index, T_old_new, sigma))
+        return True
+
+    def _seen_by(self, views: list[View], T_odom: FloatArray, a: int, T_map_odom: FloatArray) -> Seen:
+        """What a view's features show, triangulated from it and its neighbours."""
+        first, last = max(0, a - AROUND), min(len(views), a + AROUND + 1)
+        some = views[first:last]
+        rays = [straight_rays(v, self._camera) for v in some]
+        T = T_odom[first:last]
+        state = BundleState(T[:, :3, :3], T[:, :3, 3], np.empty((0, 3)), MOTION_START)
+        rng = np.random.default_rng(self._views.mapping.seed)
+        threshold = self._config.max_error_px / self._focal_px
+        matches = self._views.matches_among([v.frame_index for v in some])
+        matches = verify_by_gyro(matches, rays, T[:, :3, :3] @ self._T_body_cam[:3, :3], threshold, rng)
+        counts = [len(v.features) for v in some]
+        tracks = build_tracks(counts, [m for m in matches if len(m[2]) >= self._config.min_gyro_inliers])
+        tracks, points = triangulate_and_prune(state, tracks, rays, self._camera.lens.camera, GATE * LAST_SCALES[-1])
+        shown = landmarks_shown(tracks, counts)[a - first]
+        return Seen(some[a - first].features, shown, points @ T_map_odom[:3, :3].T + T_map_odom[:3, 3])
+
+    # ---- the map
+
+    def _close(self, views: list[View], T_odom: FloatArray) -> None:
+        """Believe what two views say alike, and let everything follow."""
+        at = {v.frame_index: k for k, v in enumerate(views)}
+        T_map = self._in_map(views, T_odom)
+        oldest = views[max(0, len(views) - RECENT)].frame_index
+        self._claims = [c for c in self._claims if c.new >= oldest and c.old in at and c.new in at]
+        believed = [c for c in self._claims if any(self._agree(c, d, at, T_map, T_odom) for d in self._claims)]
+        if not any(c.new == views[-1].frame_index for c in believed):
+            return
+        self.closed = {(c.old, c.new): c for c in (*self._still_there(at), *believed)}
+        motions = relative_motions(with_poses(views, T_odom), self._noise)
+        edges = [LoopEdge(at[c.old], at[c.new], c.T_old_new, c.sigma) for c in self.closed.values()]
+        T_map = solve_pose_graph(motions, edges, T_map)
+        self._T_map = {v.frame_index: T for v, T in zip(views, T_map, strict=True)}
+        self.T_map_odom = T_map[-1] @ inverse(T_odom[-1])
+
+    def _agree(self, c: Claim, d: Claim, at: dict[int, int], T_map: FloatArray, T_odom: FloatArray) -> bool:
+        """Whether two views say the same of the drift."""
+        if c.new == d.new:
+            return False
+        i, j = at[c.new], at[d.new]
+        by_c = T_map[at[c.old]] @ c.T_old_new
+        by_d = T_map[at[d.old]] @ d.T_old_new @ inverse(T_odom[j]) @ T_odom[i]
+        return AGREE.explains(*apart(by_c, by_d), way_of(T_odom[min(i, j) : max(i, j) + 1]))
+
+    def _still_there(self, at: dict[int, int]) -> Iterator[Claim]:
+        """The loops so far; those of views that were left out meanwhile hang on the views before these."""
+        frames = sorted(at)
+        for c in self.closed.values():
+            ends = [frames[max(0, bisect_right(frames, frame) - 1)] for frame in (c.old, c.new)]
+            old, new, T_old, T_new = (self._T_odom(frame) for frame in (*ends, c.old, c.new))
+            if ends == [c.old, c.new] or old is None or new is None or T_old is None or T_new is None:
+                yield c
+            else:
+                yield Claim(*ends, inverse(old) @ T_old @ c.T_old_new @ inverse(T_new) @ new, c.sigma)
+
+
+def way_of(T: FloatArray) -> float:
+    """m, along poses (N, 4, 4)."""
+    return float(np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1).sum())
+
+
+def with_poses(views: list[View], T: FloatArray) -> list[View]:
+    return [replace(v, keyframe=replace(v.keyframe, T_world_head=pose)) for v, pose in zip(views, T, strict=True)]
