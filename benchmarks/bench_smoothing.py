@@ -46,9 +46,9 @@ def judge(path: Path, group: str, name: str) -> dict[str, Any]:
                 frame_begin = time.process_time()
                 update = backend.add_frame(event)
                 frame_s.append(time.process_time() - frame_begin)
-                if update.T_world_body is not None:
+                if (T := update.T_map_body) is not None:
                     live_t.append(event.t_robot_ns + shift_ns)
-                    live_T.append(update.T_world_body)
+                    live_T.append(T)
             elif isinstance(event, ImuBatch):
                 backend.add_imu(event)
             elif isinstance(event, DriveSample):

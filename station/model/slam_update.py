@@ -29,5 +29,10 @@ class SlamUpdate:
     scale: Literal["metric", "arbitrary"] = "metric"  # of poses and points
     calibration_fit: CalibrationFit | None = None  # what the drive so far says of it
     # (4, 4) where the world of poses and points, which drifts and never jumps, lies in the map of what was seen again
-    # (REP-105: world is odom); None where nobody looks for that.
+    # (world is REP-105's odom). None: nobody looks for that, or there is no map yet.
     T_map_world: FloatArray | None = None
+
+    @property
+    def T_map_body(self) -> FloatArray | None:
+        """(4, 4) by all that was seen again: it jumps when a loop closes, so nobody steers by it."""
+        return self.T_world_body if self.T_map_world is None or self.T_world_body is None else self.T_map_world @ self.T_world_body

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from shared.geometry import FloatArray, IntArray
+from shared.geometry import FloatArray, IntArray, transform
 from station.model.navigation import Navigation, Trajectory
 from station.model.slam_update import SlamUpdate, TrackingState
 
@@ -122,11 +122,13 @@ class LiveSlam:
         """Take in what a frame changed; True when there are new points."""
         self.frames += 1
         self.state, self.message, self.num_landmarks = update.state, update.message, update.num_landmarks
-        if update.T_world_body is not None:
-            self.path.add(LivePose(update.t_robot_ns, update.T_world_body, update.segment))
+        if (T := update.T_map_body) is not None:
+            self.path.add(LivePose(update.t_robot_ns, T, update.segment))
         points, rgb = update.new_points_world, update.new_points_rgb
         if points is None or not len(points):
             return False
+        if update.T_map_world is not None:
+            points = transform(update.T_map_world, points)
         self.points.add(points, np.full((len(points), 3), 200, np.uint8) if rgb is None else rgb)
         return True
 

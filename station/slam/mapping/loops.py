@@ -62,7 +62,7 @@ class Recognised:
 
     pairs: IntArray  # (n, 2) features of the older and of the newer one
     T_world_cam: FloatArray  # (4, 4)
-    points: FloatArray  # (n, 3) what they show
+    landmark: IntArray  # (n,) what they show, rows of Seen.points
 
 
 def recognise(
@@ -85,14 +85,15 @@ def recognise(
     pairs = pairs[old.landmark[pairs[:, 0]] >= 0]
     if len(pairs) < config.min_loop_inliers:
         return None
-    points = old.points[old.landmark[pairs[:, 0]]]
+    landmark = old.landmark[pairs[:, 0]]
+    points = old.points[landmark]
     found = pose_by_ransac(points, rays[pairs[:, 1]], PNP_ERROR_PX / focal_px, PNP_ITERATIONS, config.seed_of_pnp)
     if found is None or len(found[1]) < config.min_loop_inliers:
         return None
     T_found, inliers = found
     if not drift.explains(*apart(T_world_cam, T_found), way_m):
         return None
-    return Recognised(pairs[inliers], T_found, points[inliers])
+    return Recognised(pairs[inliers], T_found, landmark[inliers])
 
 
 def apart(T_a: FloatArray, T_b: FloatArray) -> tuple[float, float]:

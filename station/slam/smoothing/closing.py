@@ -16,26 +16,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shared.calibration import ImuNoise
-from shared.geometry import FloatArray, inverse, se3
+from shared.geometry import FloatArray, inverse, se3, transform
 from station.slam.mapping.config import MatchConfig
-from station.slam.mapping.loops import MAX_ANGLE_RAD, MAX_DISTANCE_M, MIN_APART, PNP_ERROR_PX
-from station.slam.mapping.loops import Seen, apart, landmarks_shown, recognise
+from station.slam.mapping.loops import MAX_ANGLE_RAD, MAX_DISTANCE_M, MIN_APART, Seen, apart, landmarks_shown, recognise
 from station.slam.mapping.odometry import MOTION_START, Drift
 from station.slam.mapping.odometry_bundle import BundleState
-from station.slam.mapping.odometry_mapping import GATE, LAST_SCALES, triangulate_and_prune, verify_by_gyro
-from station.slam.mapping.pose_graph import LoopEdge, solve_pose_graph
+from station.slam.mapping.odometry_mapping import GATE, LAST_SCALES, gather, triangulate_and_prune, verify_by_gyro
+from station.slam.mapping.pose_graph import LoopEdge, locate, solve_pose_graph
 from station.slam.mapping.shortlist import Shortlist
 from station.slam.mapping.tracks import build_tracks
 from station.slam.ukf.map.view_map import DRIFT, relative_motions, straight_rays
 from station.slam.ukf.map.views import MapViews, View
 from station.vision.camera_model import CameraModel
-from station.vision.camera_pose import solve_pose_from
+from station.vision.triangulation import triangulate
 
 PoseOf = Callable[[int], FloatArray | None]  # (4, 4) T_odom_body of a frame, by its index
 AROUND = 4  # views before and after an old one, from which its landmarks are triangulated
+MAX_DEPTH_SIGMA = 0.1  # relative; landmarks known worse say little of a position
 RECENT = 12  # views within which another one must say the same of the drift
 AGREE = Drift(position_m=0.05, position_per_way=0.02, rotation_rad=0.02)  # two loops, with the way between them
-SIGMA_RAD, SIGMA_M = 0.004, 0.02  # of a loop, besides what its own residuals say
+SIGMA_RAD, SIGMA_M = 0.002, 0.005  # of a loop, besides what its landmarks leave open
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +45,7 @@ class Claim:
     old: int  # frame index
     new: int
     T_old_new: FloatArray  # (4, 4) of the body
-    sigma: FloatArray  # (6,)
+    cov: FloatArray  # (6, 6), see LoopEdge
 
 
 class LoopCloser:
@@ -146,7 +146,7 @@ class LoopCloser:
     def _compare(self, views: list[View], T_odom: FloatArray, a: int) -> bool:
         """Whether the newest view shows what view number `a` showed."""
         new, T_map = views[-1], self._in_map(views, T_odom)
-        old = self._seen_by(views, T_odom, a, T_map[a] @ inverse(T_odom[a]))
+        old, cov = self._seen_by(views, T_odom, a, T_map[a] @ inverse(T_odom[a]))
         rays = straight_rays(new, self._camera)
         found = recognise(
             old, new.features, rays, T_map[-1] @ self._T_body_cam,
@@ -154,20 +154,21 @@ class LoopCloser:
         )  # fmt: skip
         if found is None:
             return False
-        pose = solve_pose_from(
-            found.T_world_cam, found.points, rays[found.pairs[:, 1]], PNP_ERROR_PX / self._focal_px
-        )
-        if pose is None:
+        located = locate(
+            found.T_world_cam @ inverse(self._T_body_cam), old.points[found.landmark], cov[found.landmark],
+            rays[found.pairs[:, 1]], self._camera.sigma_px / self._focal_px, self._T_body_cam,
+        )  # fmt: skip
+        if located is None:
             return False
-        sigma = np.sqrt(np.diag(pose.cov_pose) + np.repeat([SIGMA_RAD**2, SIGMA_M**2], 3))
-        T_old_new = inverse(T_map[a]) @ pose.T_map_cam @ inverse(self._T_body_cam)
-        turned = np.abs(self._T_body_cam[:3, :3])
-        sigma = np.concatenate([turned @ sigma[:3], turned @ sigma[3:]])
-        self._claims.append(Claim(views[a].frame_index, new.frame_index, T_old_new, sigma))
+        T_map_body, cov_pose = located
+        cov_pose = cov_pose + np.diag(np.repeat([SIGMA_RAD**2, SIGMA_M**2], 3))
+        self._claims.append(Claim(views[a].frame_index, new.frame_index, inverse(T_map[a]) @ T_map_body, cov_pose))
         return True
 
-    def _seen_by(self, views: list[View], T_odom: FloatArray, a: int, T_map_odom: FloatArray) -> Seen:
-        """What a view's features show, triangulated from it and its neighbours."""
+    def _seen_by(
+        self, views: list[View], T_odom: FloatArray, a: int, T_map_odom: FloatArray
+    ) -> tuple[Seen, FloatArray]:
+        """What a view's features show, triangulated from it and its neighbours; covariances (M, 3, 3)."""
         first, last = max(0, a - AROUND), min(len(views), a + AROUND + 1)
         some = views[first:last]
         rays = [straight_rays(v, self._camera) for v in some]
@@ -179,9 +180,16 @@ class LoopCloser:
         matches = verify_by_gyro(matches, rays, T[:, :3, :3] @ self._T_body_cam[:3, :3], threshold, rng)
         counts = [len(v.features) for v in some]
         tracks = build_tracks(counts, [m for m in matches if len(m[2]) >= self._config.min_gyro_inliers])
-        tracks, points = triangulate_and_prune(state, tracks, rays, self._camera.lens.camera, GATE * LAST_SCALES[-1])
+        tracks, _ = triangulate_and_prune(state, tracks, rays, self._camera.lens.camera, GATE * LAST_SCALES[-1])
+        xy, seen = np.zeros((tracks.num_points, len(some), 2)), np.zeros((tracks.num_points, len(some)), dtype=bool)
+        xy[tracks.point, tracks.keyframe] = gather(tracks, rays)
+        seen[tracks.point, tracks.keyframe] = True
+        R, x = (np.broadcast_to(part, (tracks.num_points, *part.shape)) for part in (T[:, :3, :3], T[:, :3, 3]))
+        points = triangulate(self._camera, R, x, xy, seen)
+        known = np.append(points.is_good & (points.depth_sigma < MAX_DEPTH_SIGMA), False)
         shown = landmarks_shown(tracks, counts)[a - first]
-        return Seen(some[a - first].features, shown, points @ T_map_odom[:3, :3].T + T_map_odom[:3, 3])
+        R, p_map = T_map_odom[:3, :3], transform(T_map_odom, points.p)
+        return Seen(some[a - first].features, np.where(known[shown], shown, -1), p_map), R @ points.cov @ R.T
 
     # ---- the map
 
@@ -196,7 +204,7 @@ class LoopCloser:
             return
         self.closed = {(c.old, c.new): c for c in (*self._still_there(at), *believed)}
         motions = relative_motions(with_poses(views, T_odom), self._noise)
-        edges = [LoopEdge(at[c.old], at[c.new], c.T_old_new, c.sigma) for c in self.closed.values()]
+        edges = [LoopEdge(at[c.old], at[c.new], c.T_old_new, c.cov) for c in self.closed.values()]
         T_map = solve_pose_graph(motions, edges, T_map)
         self._T_map = {v.frame_index: T for v, T in zip(views, T_map, strict=True)}
         self.T_map_odom = T_map[-1] @ inverse(T_odom[-1])
@@ -219,7 +227,7 @@ class LoopCloser:
             if ends == [c.old, c.new] or old is None or new is None or T_old is None or T_new is None:
                 yield c
             else:
-                yield Claim(*ends, inverse(old) @ T_old @ c.T_old_new @ inverse(T_new) @ new, c.sigma)
+                yield Claim(*ends, inverse(old) @ T_old @ c.T_old_new @ inverse(T_new) @ new, c.cov)
 
 
 def way_of(T: FloatArray) -> float:

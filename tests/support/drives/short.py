@@ -1,4 +1,4 @@
-"""A few seconds of a simulated robot's drive in a box of checkerboards, as SLAM is given them."""
+"""A few seconds of a simulated robot's drive, as SLAM is given them; in a box of checkerboards unless told otherwise."""
 
 from __future__ import annotations
 
@@ -34,14 +34,16 @@ class ShortDrive:
     head_s: float = np.inf  # turns its head from then on
     no_images_s: tuple[float, float] = (np.inf, np.inf)
     spoilt_image: int = -1  # the index of one that cannot be decoded
+    world: str = "checker"
+    start: tuple[float, float, float] = (1.0, 1.2, 0.3)  # x, y, yaw
 
 
 def drive(wanted: ShortDrive, seed: int = 1) -> Iterator[ImuBatch | DriveSample | ImageFrame]:
-    """An arc. Times begin at 1 s."""
+    """An arc, once around in 10.5 s. Times begin at 1 s."""
     camera, noise = CALIBRATION.camera, CALIBRATION.imu
     assert camera is not None and noise is not None
-    world = make_world("checker", 0)
-    body = Body(world, CONFIG.body, (1.0, 1.2, 0.3), seed)
+    world = make_world(wanted.world, 0)
+    body = Body(world, CONFIG.body, wanted.start, seed)
     imu = ImuModel(noise, CONFIG.imu, CALIBRATION.gravity, seed)
     eye = SimulatedCamera(Renderer(world, camera), camera, CONFIG.camera, seed)
     servos = Servos(CONFIG.servos, seed)

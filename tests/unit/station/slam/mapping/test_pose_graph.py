@@ -11,7 +11,7 @@ from station.slam.mapping.odometry import DEAD_RECKONED, RelativeMotions
 from station.slam.mapping.pose_graph import LoopEdge, solve_pose_graph
 
 LAPS, PER_LAP = 3, 40
-SIGMA = np.repeat([0.004, 0.02], 3)
+COV = np.diag(np.repeat([0.004, 0.02], 3) ** 2)
 
 
 def laps() -> FloatArray:
@@ -44,7 +44,7 @@ def drifted(T_true: FloatArray, yaw_per_step: float, scale: float) -> RelativeMo
 def loop(T_true: FloatArray, a: int, b: int, aside_m: float = 0.0) -> LoopEdge:
     T = inverse(T_true[a]) @ T_true[b]
     T[0, 3] += aside_m
-    return LoopEdge(a, b, T, SIGMA)
+    return LoopEdge(a, b, T, COV)
 
 
 def worst_m(T: FloatArray, T_true: FloatArray) -> float:
@@ -75,6 +75,6 @@ def test_a_tilted_loop_tilts_nothing() -> None:
     odometry = drifted(T_true, yaw_per_step=0.0, scale=1.0)
     tilt = np.eye(4)
     tilt[:3, :3] = np.array([[1.0, 0.0, 0.0], [0.0, 0.9998, -0.02], [0.0, 0.02, 0.9998]])
-    edge = LoopEdge(0, PER_LAP, inverse(T_true[0]) @ T_true[PER_LAP] @ tilt, SIGMA)
+    edge = LoopEdge(0, PER_LAP, inverse(T_true[0]) @ T_true[PER_LAP] @ tilt, COV)
     T = solve_pose_graph(odometry, [edge], odometry.T_world_body)
     assert np.abs(T[:, 2, 2] - 1.0).max() < 1e-5  # 0.25 degrees; the loop says 1.1
