@@ -35,4 +35,6 @@ class SlamUpdate:
     @property
     def T_map_body(self) -> FloatArray | None:
         """(4, 4) by all that was seen again: it jumps when a loop closes, so nobody steers by it."""
-        return self.T_world_body if self.T_map_world is None or self.T_world_body is None else self.T_map_world @ self.T_world_body
+        if self.T_map_world is None or self.T_world_body is None:
+            return self.T_world_body
+        return self.T_map_world @ self.T_world_body

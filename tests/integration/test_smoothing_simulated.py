@@ -15,6 +15,7 @@ from shared.geometry import FloatArray, inverse
 from station.model.frames import ImageFrame
 from station.model.navigation import Navigation
 from station.model.slam_update import SlamUpdate
+from station.motion.interpolation import interpolate_poses
 from station.motion.preintegration import ImuSegment, Preintegration, preintegrate
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
@@ -141,8 +142,10 @@ def test_a_circle_driven_again_closes_loops_in_the_map_and_the_odometry_knows_no
     nav, updates = run("smoothing", circle)
     assert len(closed) > 3
     # The end's solution is millimetres off: what is far from it is no true loop.
-    times = {index: update.t_robot_ns for index, update in enumerate(updates)}
-    of = interpolate_poses(nav.trajectory, np.array([[times[c.old], times[c.new]] for c in closed]).ravel())
+    assert CALIBRATION.camera is not None
+    t_imu_ns = np.array([u.t_robot_ns for u in updates]) + round(1e9 * CALIBRATION.camera.middle_row_shift_s)
+    frames = np.array([[c.old, c.new] for c in closed]).ravel()
+    of, _ = interpolate_poses(nav.trajectory, t_imu_ns[frames])
     moved = np.array([c.T_old_new for c in closed])
     expected = inverse(of[0::2]) @ of[1::2]
     assert np.abs(moved[:, :3, 3] - expected[:, :3, 3]).max() < 0.05

@@ -58,7 +58,7 @@ def solve_pose_graph(motions: RelativeMotions, loops: Sequence[LoopEdge], T_star
 def locate(
     T_world_body: FloatArray, points: FloatArray, cov: FloatArray, xy: FloatArray, sigma: float, T_body_cam: FloatArray
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Pose (4, 4) of a body whose camera sees points that are not exactly known, and its covariance (6, 6) as of a loop.
+    """Pose (4, 4) of a body whose camera sees points that are not exactly known; its covariance (6, 6) as of a loop.
 
     A narrow camera can hardly tell a turn from a step aside: covariance, not sigmas, says what it does tell.
 
@@ -71,9 +71,7 @@ def locate(
     on_body = to_pose(T_body_cam)
     for i, p in enumerate(points):
         values.insert(landmark_key(i), p)
-        graph.push_back(
-            gtsam.PriorFactorPoint3(landmark_key(i), p, gtsam.noiseModel.Gaussian.Covariance(cov[i]))
-        )
+        graph.push_back(gtsam.PriorFactorPoint3(landmark_key(i), p, gtsam.noiseModel.Gaussian.Covariance(cov[i])))
         graph.push_back(reprojection_factor(0, i, xy[i], sigma, HUBER, on_body))
     try:
         values = gtsam.LevenbergMarquardtOptimizer(graph, values, _parameters()).optimize()

@@ -23,6 +23,7 @@ from station.slam.backend import check_size
 from station.slam.mapping.assemble import Reconstructed
 from station.slam.mapping.odometry import dead_reckon
 from station.slam.mapping.odometry_mapping import map_with_odometry, read_odometry_map
+from station.slam.mapping.shortlist import Shortlist
 from station.slam.mapping.tracks import Pairs
 from station.slam.sfm.colmap import (
     VERSION,
@@ -36,7 +37,6 @@ from station.slam.sfm.colmap import (
 )
 from station.slam.sfm.config import SfmConfig
 from station.slam.sfm.keyframes import KeyframeSelector
-from station.slam.mapping.shortlist import Shortlist
 from station.slam.sfm.world import place_in_world
 from station.vision.features import similarities
 from station.vision.lens import Lens

@@ -75,6 +75,7 @@ class SmoothingBackend:
         self._between: list[FrameBetween] = []
         self._closer: LoopCloser | None = None
         self._T_map_odom = np.eye(4)
+        self._num_closed = 0  # loops of pieces of tracking that have ended
         self._head_turned = False
         self._restarts = 0  # of the window, where its equations had no single solution
         self._messages: list[str] = []
@@ -130,6 +131,7 @@ class SmoothingBackend:
             self._add_keyframe(state, current)
 
     def _end_window(self) -> None:
+        self._num_closed += 0 if self._closer is None else len(self._closer.closed)
         self._window, self._closer = None, None
         self._odometry.imu_needed_since_ns = None
 
@@ -293,6 +295,7 @@ class SmoothingBackend:
 
     def finish(self) -> Navigation:
         """End the navigation. Raises EstimationError, with the reason, when nothing could be reconstructed."""
+        self._end_window()
         nav = self._odometry.finish() if self._head_turned else self._odometry.finish_improved(self._improve)
         settings = plain_settings(self._config)
         del settings["odometry"]  # the rest of the report's settings
@@ -301,7 +304,7 @@ class SmoothingBackend:
             nav.report,
             backend="smoothing",
             versions=nav.report.versions | {"gtsam": version("gtsam")},
-            config=nav.report.config | {"smoothing": settings},
+            config=nav.report.config | {"smoothing": settings, "loops_while_driving": self._num_closed},
             messages=(*nav.report.messages, *self._messages, *((restarts,) if self._restarts else ())),
         )
         return replace(nav, id=nav.id.replace("ukf", "smoothing", 1), report=report)

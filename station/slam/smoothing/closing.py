@@ -72,37 +72,38 @@ class LoopCloser:
         self._shortlist = Shortlist(self._config)
         self._listed: list[int] = []  # frame indices
         self._newest = -1  # frame index of the newest view that was looked at
-        self._work: Iterator[None] = iter(())
+        self._work: Iterator[str] = iter(())
         self._claims: list[Claim] = []  # of the newest views
         self._T_map: dict[int, FloatArray] = {}  # by frame index, as the graph has them
         self.closed: dict[tuple[int, int], Claim] = {}  # by the frame indices of both
         self.T_map_odom = T_map_odom
 
     def look(self) -> None:
-        """Do the next step of what the views ask for. Called once a frame."""
-        for _ in self._work:
-            return
-        frame = self._views.next_chosen(self._newest)
-        if frame is not None:
-            self._newest = frame
-            self._work = self._look_back(frame)
+        """Do the next step of what the views ask for, called once a frame; and one more for each view that waits."""
+        for _ in range(1 + len(self._views.chosen_after(self._newest))):
+            if next(self._work, None) is None:
+                waiting = self._views.chosen_after(self._newest)
+                if not waiting:
+                    return
+                self._newest = waiting[0]
+                self._work = self._look_back(self._newest)
 
     # ---- the steps of one view
 
-    def _look_back(self, frame: int) -> Iterator[None]:
+    def _look_back(self, frame: int) -> Iterator[str]:
         """Describe the view, see what it could show again, look at each of those, correct the map."""
         self._views.describe_until(frame)
-        yield
+        yield "described"
         views, T_odom = self._known(frame)
         if not views or views[-1].frame_index != frame:
             return
         self._list(views)
         alike = self._shortlist.most_alike(views[-1].features, self._within_reach(views, T_odom))
-        yield
+        yield "proposed"
         found = False
         for a in alike[: self._config.loops_per_keyframe]:
             found = self._compare(views, T_odom, a) or found
-            yield
+            yield "compared"
         if found:
             self._close(*self._known(frame))
 

@@ -1,4 +1,4 @@
-"""A few seconds of a simulated robot's drive, as SLAM is given them; in a box of checkerboards unless told otherwise."""
+"""A few seconds of a simulated robot's drive, as SLAM is given them; unless told otherwise among checkerboards."""
 
 from __future__ import annotations
 

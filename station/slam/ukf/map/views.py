@@ -6,6 +6,7 @@ again: when the robot comes back, and when it looks for its place in the map ano
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -93,10 +94,10 @@ class MapViews:
                 self._pairs.append((a, b, match_both_ways(similarity, self.mapping.matching.max_ratio)))
         return True
 
-    def next_chosen(self, after: int) -> int | None:
-        """Frame index of the first view after a frame, described or not."""
+    def chosen_after(self, frame_index: int) -> list[int]:
+        """Frame indices of the views after a frame, described or not."""
         frames = [v.frame_index for v in self._items] + [k.image.index for k in self._chosen]
-        return next((frame for frame in frames if frame > after), None)
+        return frames[bisect_right(frames, frame_index) :]
 
     def describe_until(self, frame_index: int) -> None:
         """Describe the views up to one."""

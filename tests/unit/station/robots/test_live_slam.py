@@ -45,6 +45,17 @@ def test_a_long_way_is_thinned_out_evenly_and_ends_at_the_newest_pose(num_poses:
         assert len(set(steps[:-1].tolist())) <= 1 and 0 < steps[-1] <= steps[0]
 
 
+def test_where_the_robot_is_and_new_points_are_shown_in_the_map_of_what_was_seen_again() -> None:
+    live = LiveSlam("nav-1")
+    T_map_world = np.eye(4)
+    T_map_world[:2, 3] = 0.5, -0.25
+    points = np.array([[1.0, 2.0, 3.0]])
+    live.update(SlamUpdate(1, "tracking", "", pose(4).T_world_body, 0, False, points, T_map_world=T_map_world))
+    assert live.pose is not None
+    assert live.pose.T_world_body[:3, 3].tolist() == [4.5, -0.25, 0.0]
+    assert live.points.since(0)[0].tolist() == [[1.5, 1.75, 3.0]]
+
+
 def test_a_navigation_of_hours_takes_the_memory_of_its_first_minutes() -> None:
     live = LiveSlam("nav-1")
 

@@ -1,4 +1,4 @@
-"""The pose graph: loops take out what odometry drifted by, upright; a loop that all others contradict is not followed."""
+"""The pose graph: loops take out what odometry drifted by, upright; one that the others contradict is left."""
 
 from __future__ import annotations
 
