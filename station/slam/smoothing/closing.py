@@ -1,4 +1,4 @@
-"""Loops closed while the robot drives (docs/slam.md, "Smoothing", 7): where the odometry's world lies in the map.
+"""Loops closed while the robot drives (docs/slam.md, "Smoothing", 6): where the odometry's world lies in the map.
 
 The odometry (filter and window of keyframes) drifts and never jumps. What is seen again says where it has drifted to:
 T_map_odom. As REP-105 has it, who steers reads the odometry, who asks where the robot is reads T_map_odom with it.
@@ -14,11 +14,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
 
 from shared.calibration import ImuNoise
 from shared.geometry import FloatArray, inverse, se3, transform
 from station.slam.mapping.config import MatchConfig
-from station.slam.mapping.loops import MAX_ANGLE_RAD, MAX_DISTANCE_M, MIN_APART, Seen, apart, landmarks_shown, recognise
+from station.slam.mapping.loops import MAX_ANGLE_RAD, MAX_DISTANCE_M, Seen, apart, landmarks_shown, recognise
 from station.slam.mapping.odometry import MOTION_START, Drift
 from station.slam.mapping.odometry_bundle import BundleState
 from station.slam.mapping.odometry_mapping import GATE, LAST_SCALES, gather, triangulate_and_prune, verify_by_gyro
@@ -33,6 +35,7 @@ from station.vision.triangulation import triangulate
 PoseOf = Callable[[int], FloatArray | None]  # (4, 4) T_odom_body of a frame, by its index
 AROUND = 4  # views before and after an old one, from which its landmarks are triangulated
 MAX_DEPTH_SIGMA = 0.1  # relative; landmarks known worse say little of a position
+MIN_AGO_S = 10.0  # what was seen a moment ago is found again by its patches (recall.py)
 RECENT = 12  # views within which another one must say the same of the drift
 AGREE = Drift(position_m=0.05, position_per_way=0.02, rotation_rad=0.02)  # two loops, with the way between them
 SIGMA_RAD, SIGMA_M = 0.002, 0.005  # of a loop, besides what its landmarks leave open
@@ -98,11 +101,12 @@ class LoopCloser:
         if not views or views[-1].frame_index != frame:
             return
         self._list(views)
-        alike = self._shortlist.most_alike(views[-1].features, self._within_reach(views, T_odom))
+        ways = self._ways(T_odom, {v.frame_index: k for k, v in enumerate(views)})
+        alike = self._shortlist.most_alike(views[-1].features, self._within_reach(views, T_odom, ways))
         yield "proposed"
         found = False
         for a in alike[: self._config.loops_per_keyframe]:
-            found = self._compare(views, T_odom, a) or found
+            found = self._compare(views, T_odom, a, float(ways[a])) or found
             yield "compared"
         if found:
             self._close(*self._known(frame))
@@ -129,29 +133,35 @@ class LoopCloser:
         later = self.T_map_odom @ T_odom
         return np.array([self._T_map.get(v.frame_index, T) for v, T in zip(views, later, strict=True)])
 
-    def _way_untied(self, views: list[View], T_odom: FloatArray) -> float:
-        """Over which the odometry may have drifted: since the newest loop, or the beginning."""
-        tied = max((new for _, new in self.closed), default=-1)
-        return way_of(T_odom[[v.frame_index >= tied for v in views]])
+    def _ways(self, T_odom: FloatArray, at: dict[int, int]) -> FloatArray:
+        """(N,) m, over which the odometry may have drifted between each view and the newest: the shortest way along it
+        and through loops."""
+        n = len(T_odom)
+        loops = np.array([(at[c.old], at[c.new]) for c in self._still_there(at)], dtype=np.int64).reshape(-1, 2)
+        ends = np.vstack([np.column_stack([np.arange(n - 1), np.arange(1, n)]), loops])
+        steps = np.linalg.norm(np.diff(T_odom[:, :3, 3], axis=0), axis=1)
+        length = np.concatenate([steps, np.zeros(len(loops))]) + 1e-6  # what has no length is no edge to SciPy
+        graph = coo_array((length, (ends[:, 0], ends[:, 1])), shape=(n, n))
+        return np.asarray(dijkstra(graph, directed=False, indices=n - 1))
 
-    def _within_reach(self, views: list[View], T_odom: FloatArray) -> list[int]:
-        """Views that this one may see the same as, wherever the odometry has drifted to."""
+    def _within_reach(self, views: list[View], T_odom: FloatArray, ways: FloatArray) -> list[int]:
+        """Views of some time ago that this one may see the same as, wherever the odometry has drifted to."""
         T_cam = self._in_map(views, T_odom) @ self._T_body_cam
-        older = T_cam[: max(0, len(views) - MIN_APART)]
-        angle = np.arccos(np.clip(older[:, :3, 2] @ T_cam[-1, :3, 2], -1.0, 1.0))
-        distance = np.linalg.norm(older[:, :3, 3] - T_cam[-1, :3, 3], axis=1)
-        drifted_m = DRIFT.position_m + DRIFT.position_per_way * self._way_untied(views, T_odom)
+        angle = np.arccos(np.clip(T_cam[:, :3, 2] @ T_cam[-1, :3, 2], -1.0, 1.0))
+        distance = np.linalg.norm(T_cam[:, :3, 3] - T_cam[-1, :3, 3], axis=1)
+        drifted_m = DRIFT.position_m + DRIFT.position_per_way * ways
         near = (angle < MAX_ANGLE_RAD + DRIFT.rotation_rad) & (distance < MAX_DISTANCE_M + drifted_m)
-        return [int(k) for k in np.flatnonzero(near)]
+        t_s = np.array([v.keyframe.image.t_robot_ns for v in views]) * 1e-9
+        return [int(k) for k in np.flatnonzero(near & (t_s[-1] - t_s > MIN_AGO_S))]
 
-    def _compare(self, views: list[View], T_odom: FloatArray, a: int) -> bool:
-        """Whether the newest view shows what view number `a` showed."""
+    def _compare(self, views: list[View], T_odom: FloatArray, a: int, way_m: float) -> bool:
+        """Whether the newest view shows what view number `a` showed, on a way over which the odometry drifted."""
         new, T_map = views[-1], self._in_map(views, T_odom)
         old, cov = self._seen_by(views, T_odom, a, T_map[a] @ inverse(T_odom[a]))
         rays = straight_rays(new, self._camera)
         found = recognise(
             old, new.features, rays, T_map[-1] @ self._T_body_cam,
-            self._way_untied(views, T_odom), self._focal_px, DRIFT, self._config,
+            way_m, self._focal_px, DRIFT, self._config,
         )  # fmt: skip
         if found is None:
             return False

@@ -140,8 +140,8 @@ def test_one_view_alone_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None
     drive = Drive(monkeypatch, Hall())
     compare, said = LoopCloser._compare, list[bool]()
 
-    def once(closer: LoopCloser, views: list[View], T_odom: FloatArray, a: int) -> bool:
-        if not said and compare(closer, views, T_odom, a):
+    def once(closer: LoopCloser, views: list[View], T_odom: FloatArray, a: int, way_m: float) -> bool:
+        if not said and compare(closer, views, T_odom, a, way_m):
             said.append(True)
             return True
         return False
@@ -150,6 +150,20 @@ def test_one_view_alone_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None
     drive.run()
     assert said and not drive.closer.closed
     assert all(np.array_equal(T, np.eye(4)) for T in drive.corrections)
+
+
+def test_the_odometry_drifts_over_the_way_to_where_loops_tie_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    drive = Drive(monkeypatch, Hall())
+    drive.run(PER_LAP)
+    at = {frame: k for k, frame in enumerate(range(0, VIEWS * FRAMES_PER_VIEW, FRAMES_PER_VIEW))}
+    T_odom = np.array([drive.odometry(frame) for frame in at])
+    steps = np.linalg.norm(np.diff(T_odom[:, :3, 3], axis=0), axis=1)
+    assert drive.closer._ways(T_odom, at) == pytest.approx([*np.cumsum(steps[::-1])[::-1], 0.0], abs=1e-3)
+    drive.run(first=PER_LAP)
+    tied = max(new for _, new in drive.closer.closed)
+    ways = drive.closer._ways(T_odom, at)
+    assert ways[at[tied]] < 0.3 * steps.sum()
+    assert ways.max() < 0.7 * steps.sum()  # half a lap at most from a loop's ends
 
 
 def test_loop_edges_are_of_the_body(monkeypatch: pytest.MonkeyPatch) -> None:
