@@ -238,7 +238,7 @@ class LoopCloser:
             if ends == [c.old, c.new] or old is None or new is None or T_old is None or T_new is None:
                 yield c
             else:
-                yield Claim(*ends, inverse(old) @ T_old @ c.T_old_new @ inverse(T_new) @ new, c.cov)
+                yield Claim(ends[0], ends[1], inverse(old) @ T_old @ c.T_old_new @ inverse(T_new) @ new, c.cov)
 
 
 def way_of(T: FloatArray) -> float:
