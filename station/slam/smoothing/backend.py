@@ -176,7 +176,7 @@ class SmoothingBackend:
             )
             self._append(keyframe, current.frame.grey())
         self._T_filter = state.T_world_body
-        if memory.views is not None:
+        if self._config.closes_loops and memory.views is not None:
             self._closer = LoopCloser(
                 memory.views, memory.segment, self._pose_at, self._camera, self._noise, self._T_map_odom
             )
