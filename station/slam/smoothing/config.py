@@ -42,7 +42,7 @@ class SmoothingConfig:
     min_views: int = 3
     sigma_landmark_share: float = 0.5  # weak prior by depth, without which a landmark seen from afar is indeterminate
     sigma_recalled_m: float = 0.02  # of a landmark found again after it had left the window, besides its own
-    # Off: a frame with a step of it takes up to 0.1 s longer, and what it believes comes too late to help (decision 35).
+    # Off: frames take up to 0.1 s longer, and what is believed comes too late to help (decision 35).
     closes_loops: bool = False
     max_keyframes: int = 300  # solved together when the drive ends; of a longer one every second is left out, and so on
 
