@@ -97,7 +97,7 @@ def load_calibration(config: PiConfig, own: Calibration | None = None) -> Calibr
     """
     calibration = own or msgspec.structs.replace(REFERENCE_ROBOT, camera=_camera_of(config), imu=_imu_of(config))
     depth = calibration_of(config.depth_position_m) if config.depth == "hc-sr04" else msgspec.UNSET
-    calibration = msgspec.structs.replace(calibration, depth=depth)  # no calibration measures it
+    calibration = msgspec.structs.replace(calibration, head=REFERENCE_ROBOT.head, depth=depth)  # nobody measures these
     camera = calibration.camera
     if config.camera and camera is not None:
         size = (camera.width, camera.height)

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
+import msgspec
 import psutil
 import pytest
 from hypothesis import given
@@ -309,6 +310,11 @@ def test_a_robot_without_a_calibration_says_that_its_cameras_numbers_are_another
     camera, reference = adapter.load_calibration(PiConfig()).camera, REFERENCE_ROBOT.camera
     assert camera is not None and reference is not None and not camera.is_measured
     assert camera.fx == reference.fx
+
+
+def test_a_robot_that_keeps_a_calibration_has_its_head_too() -> None:
+    own = msgspec.structs.replace(REFERENCE_ROBOT, head=None)  # no calibration file holds it
+    assert adapter.load_calibration(PiConfig(), own).head == REFERENCE_ROBOT.head
 
 
 def test_a_camera_calibrated_alone_is_mounted_and_timed_as_the_reference_robots(tmp_path: Path) -> None:
