@@ -68,10 +68,10 @@ class RecentDelays:
             return NetworkState("silent", "the robot has said nothing for a second", trip_ms, age_ms)
         if loop_ms <= GOOD_LOOP_MS and not is_rare:
             return NetworkState("good", "the network is good", trip_ms, age_ms)
-        if loop_ms <= SLOW_LOOP_MS:
+        is_standing = trip_ms is not None and min(self._round_trips_ns) * 1e-6 >= STANDING_TRIP_MS
+        if loop_ms <= SLOW_LOOP_MS and not is_standing:
             what = f"slow network: {self._numbers(picture_rate_hz)}; drive slowly"
             return NetworkState("slow", what, trip_ms, age_ms)
-        is_standing = trip_ms is not None and min(self._round_trips_ns) * 1e-6 >= STANDING_TRIP_MS
         reason = "; the robot stands, since stops would come too late" if is_standing else ""
         what = f"bad network: {self._numbers(picture_rate_hz)}{reason}; come closer to the access point"
         return NetworkState("bad", what, trip_ms, age_ms)

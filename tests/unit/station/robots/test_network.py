@@ -33,7 +33,15 @@ def delays(trip_ms: int, age_ms: int | None) -> RecentDelays:
             "slow network: 9 pictures a second, 200 ms old, 80 ms there and back; drive slowly",
         ),
         (5, 60, 4.0, "slow", "slow network: 4 pictures a second, 60 ms old, 5 ms there and back; drive slowly"),
-        (400, None, 0.0, "slow", "slow network: 400 ms there and back; drive slowly"),
+        (300, None, 0.0, "slow", "slow network: 300 ms there and back; drive slowly"),
+        (
+            350,
+            210,
+            15.0,
+            "bad",
+            "bad network: 15 pictures a second, 210 ms old, 350 ms there and back;"
+            " the robot stands, since stops would come too late; come closer to the access point",
+        ),
         (
             700,
             900,
