@@ -98,6 +98,7 @@ class CommandOrder:
         self._clock.add(t_station_ns, arrived_ns)
         if self._clock.steps != steps:
             self._first_ns = arrived_ns  # another clock: what was learnt of the old one says nothing
+            self._heard_clock = RemoteClock(MAX_CRYSTAL_DRIFT)
             self._anew_ns = t_station_ns
 
     def _has_paused(self, t_station_ns: int) -> bool:
