@@ -17,7 +17,7 @@ from shared.messages import CameraFrame, DriveApplied, Hello, ImuBatch
 from station.config import LocalizationConfig
 from station.events import Events, Latest
 from station.model.calibration_fit import CalibrationFit, newer
-from station.model.frames import ImageFrame
+from station.model.frames import DriveSample, ImageFrame
 from station.model.map_store import StoreAddress
 from station.model.place_answer import HijackNotice, MapLeftOut, MapReading, PlaceReport
 from station.model.place_map import Grouping
@@ -74,6 +74,7 @@ class CurrentPlace(IgnoringListener):
         self._calibration: Calibration | None = None
         self.calibration_fit: CalibrationFit | None = None  # as far as the robot's SLAM knows
         self._robot_run: tuple[str, str] | None = None  # robot, session: another one has another clock
+        self._drive: DriveSample | None = None  # the newest: it says where the camera's head looks
         self._runs = 0
         self._is_ready = False
         self._generation = 0  # counts the calls of use_maps(): a worker that was killed for another map did not die
@@ -147,11 +148,15 @@ class CurrentPlace(IgnoringListener):
         """What was found with another calibration says nothing any more."""
         run = (hello.robot_id, hello.session_id)
         if run != self._robot_run or hello.calibration != self._calibration:
+            if run != self._robot_run:
+                self._drive = None
             self._robot_run, self._calibration = run, hello.calibration
             self._runs += 1
             self._forget()
             self.calibration_fit = None
             self._post(PlaceProgram.calibrate, hello.calibration)
+            if self._drive is not None:
+                self._post(PlaceProgram.add_drive, self._drive)
             self._events.changed("place")
 
     def on_disconnected(self, reason: str) -> None:
@@ -195,7 +200,8 @@ class CurrentPlace(IgnoringListener):
                 self._events.notify("place", "localisation is too slow: inertial samples are lost to it", "warning")
 
     def on_drive_applied(self, applied: DriveApplied) -> None:
-        self._post(PlaceProgram.add_drive, drive_sample(applied))
+        self._drive = drive_sample(applied)
+        self._post(PlaceProgram.add_drive, self._drive)
 
     def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:  # noqa: ARG002
         """The worker gets the newest picture when it is free."""
@@ -257,6 +263,8 @@ class CurrentPlace(IgnoringListener):
             if self._calibration is not None:
                 await worker.call(PlaceProgram.calibrate, self._calibration)
                 await worker.call(PlaceProgram.use_fit, self.calibration_fit)
+            if self._drive is not None:
+                await worker.call(PlaceProgram.add_drive, self._drive)
             self._is_ready = True
             self._set_status("looking at the first picture", None)
             self._events.notify("place", "localisation is ready")

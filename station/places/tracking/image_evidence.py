@@ -147,7 +147,9 @@ class ImageEvidence:
         sigma_m = float(np.hypot(z.sigma_position / unit, self.config.pose_floor_m))
         camera = self._cameras[index]
         T_cam_body = np.eye(4) if camera is None else camera.T_cam_body_matrix
-        T_map_body = z.T_map_cam @ T_cam_body @ inverse(aim.T_body_head)
+        T_head_body = inverse(aim.T_body_head)
+        T_head_body[:3, 3] *= unit
+        T_map_body = z.T_map_cam @ T_cam_body @ T_head_body
         sigma_rad = float(np.hypot(self.config.pose_floor_rad, aim.sigma_rad))
         return PoseMeasurement(z, index, unit, T_map_body, sigma_m, sigma_rad)
 
