@@ -210,7 +210,7 @@ def main() -> int:
     kept = arguments.rows or work_folder() / "mapping.jsonl"
     kept.parent.mkdir(parents=True, exist_ok=True)
     lines = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
-    known = {(r["world"], r["seed"], r["backend"], r["step"], r["look_around"]): r for r in lines}
+    known = {(r["world"], r["seed"], r["backend"], r["step"], r.get("look_around", 0)): r for r in lines}
     rows = []
     for seed in parse_seeds(arguments.seeds):
         for backend in arguments.backend or ["ukf"]:

@@ -28,7 +28,7 @@ RATE_HZ = 5.0  # stations get four a second
 STEP = 2  # of so many pixels one is kept, across and down: 320 x 200 have 60 kB, and maps keep 64 a side
 SILENCE_S = 3.0
 REOPEN_S = 1.0
-CLOSE_S = 3.0
+CLOSE_S = SILENCE_S + 1.0  # a thread that waits for a picture ends after SILENCE_S
 
 
 class OakD:
