@@ -245,6 +245,18 @@ def test_no_motor_moves_for_half_a_second_after_the_last_word_on_a_network_that_
         assert min(holds[1:]) == (250 + there_ms) * MS, "a usual network takes nothing of a command's life"
 
 
+def test_where_the_robots_clock_stood_still_on_a_late_network_motors_stop_as_soon() -> None:
+    order, holds = CommandOrder(), []
+    for step in range(20 * 100):
+        said_ns = step * 50 * MS
+        by_station_ns = said_ns + (20 * S if said_ns >= 30 * S else 0)
+        order.note_heard(said_ns - 5 * MS)
+        order.observe(by_station_ns, said_ns + 600 * MS)
+        if (until_ns := order.until_ns(command(step, by_station_ns, ttl_ms=250), said_ns + 600 * MS)) is not None:
+            holds.append(until_ns - said_ns)
+    assert max(holds, default=0) <= 450 * MS
+
+
 def test_a_network_that_becomes_late_for_good_gets_no_more_time_when_the_quick_days_are_forgotten() -> None:
     order, holds = CommandOrder(), []
     for step in range(20 * 200):
