@@ -2,8 +2,8 @@
 
 A feature is a row y (6,): x_i, y_i, z_i, theta_i, phi_i, rho_i with inverse depth (C.2), or X, Y, Z and three zeros
 (C.1). The camera's axes are x right, y down, z along the view. The thesis prints eq. 2.5 for axes turned by half a turn
-about the view, hence its minus signs; and C.5 with a bracket too early: r^WC is scaled by rho too, else a far point
-would not stay where it is.
+about the view, hence its minus signs. Its C.5 has two brackets in other places; here it is R^CW (rho (x_i - r^WC) + m):
+a point infinitely far away (rho = 0) does not move with the camera.
 """
 
 from __future__ import annotations

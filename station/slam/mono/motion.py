@@ -41,5 +41,5 @@ def move(
 
 
 def impulse_covariance(config: MonoConfig, dt_s: float) -> FloatArray:
-    """P_n (6, 6) of eq. 2.3: of the impulses a^W dt and alpha^R dt of eq. 2.1, diagonal."""
+    """P_n (6, 6) of eq. 2.3: of eq. 2.1's impulses a^W dt and alpha^R dt (the thesis prints alpha^W), diagonal."""
     return np.diag((np.repeat([config.sigma_accel, config.sigma_angular_accel], 3) * dt_s) ** 2)
