@@ -78,7 +78,9 @@ class FakeLine:
         if data == sp.encode(sp.AskHello()) and self.boot_id is not None:
             self.say(hello(self.boot_id), STATUS)
         if data in self._unknown:
-            self.say(sp.Ack(sp.cobs_decode(data[:-1])[0], UNKNOWN_TYPE))  # type: ignore[index]
+            asked = sp.cobs_decode(data[:-1])
+            assert asked is not None
+            self.say(sp.Ack(asked[0], UNKNOWN_TYPE))
         elif data in SETTINGS:
             result = self._results.pop(0) if self._results else 0
             if result != UNHEARD:
