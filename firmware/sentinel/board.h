@@ -26,7 +26,8 @@ uint32_t clock_ms();
 extern volatile uint8_t clock_unfed_ms;  // since the loop last fed the watchdog, 255 at most; survives a reset
 
 void range_begin();
-void range_trigger();         // takes 13 us; interrupts may come meanwhile
+void range_listen();          // for the next echo; interrupts off
+void range_sound();           // takes 13 us; interrupts may come meanwhile
 bool range_echo_is_high();
 
 void motors_begin();

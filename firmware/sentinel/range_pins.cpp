@@ -1,6 +1,5 @@
 // The HC-SR04's two wires. Timer 5 notes by itself when ECHO changes (input capture), however late the interrupt comes.
 #include <avr/interrupt.h>
-#include <util/atomic.h>
 #include <util/delay.h>
 
 #include "board.h"
@@ -10,7 +9,7 @@ extern sentinel::RangeFinder range_finder;
 
 static const uint8_t TRIG = _BV(0), ECHO = _BV(1);  // port L, which no interrupt writes
 
-// Two a measurement at most: a rise, then a fall, then none until range_trigger() asks again.
+// Two a measurement at most: a rise, then a fall, then none until range_listen().
 ISR(TIMER5_CAPT_vect) {
   const uint16_t at = ICR5;
   const uint16_t ago = static_cast<uint16_t>(TCNT5 - at);  // half microseconds
@@ -28,12 +27,13 @@ void range_begin() {
   TCCR5B |= _BV(ICNC5);  // four clocks at one level, or it is noise
 }
 
-void range_trigger() {
-  ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-    TCCR5B |= _BV(ICES5);
-    TIFR5 = _BV(ICF5);
-    TIMSK5 |= _BV(ICIE5);
-  }
+void range_listen() {
+  TCCR5B |= _BV(ICES5);
+  TIFR5 = _BV(ICF5);
+  TIMSK5 |= _BV(ICIE5);
+}
+
+void range_sound() {
   PORTL |= TRIG;
   _delay_us(12);  // it asks for 10
   PORTL &= static_cast<uint8_t>(~TRIG);

@@ -216,9 +216,10 @@ static void serve_range(uint32_t now_ms, uint32_t now_us) {
   RangePacket packet;
   ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
     asks = range_finder.next(now_ms, now_us, range_echo_is_high());
+    if (asks) range_listen();  // in this block: the end of an echo that was given up would count as the next one's begin
     has_ended = range_finder.take(&packet);
   }
-  if (asks) range_trigger();
+  if (asks) range_sound();
   if (!has_ended) return;
   uint8_t payload[MAX_PAYLOAD];
   send(payload, pack(packet, payload), REPORT);
