@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Makes .venv and installs into it: `run` what the programs need, `dev` also what tests and benchmarks need.
+# Makes .venv and installs into it: `run` what the programs need, `dev` also what tests and benchmarks need, `env` nothing.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 kind=${1:-run}
@@ -51,6 +51,7 @@ has_pip || {
   echo "setup: making $venv"
   make_venv || exit 1
 }
+[ "$kind" != env ] || exit 0
 extras=robot,simulation,station
 if [ "$kind" = dev ]; then
   extras+=,dev

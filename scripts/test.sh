@@ -3,12 +3,22 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 bin=.venv/bin
-install_missing() {
+debian_packages() {
   scripts/apt-need.sh "browser tests" chromium fonts-dejavu-core
   scripts/apt-need.sh "database tests" postgresql
-  scripts/open3d-need.sh
   [ ! -x firmware/install-deps.sh ] || firmware/install-deps.sh
 }
+# Debian's packages are unpacked while Python's are fetched, and lint computes as soon as those are there. The environment
+# comes first and Open3D last: either may ask for a Debian package of its own, and one apt-get does not wait for another.
+scripts/setup.sh env
+debian_packages &
+debian=$!
+make --silent .venv/.dev
+install_missing() {
+  wait $debian
+  scripts/open3d-need.sh
+}
+
 # Several processes share few cores: a second thread of linear algebra in each of them spins for a core that it does not
 # get, which doubled the CPU time of structure from motion; OpenCV's take a third more for SIFT. And sources are compiled
 # once, not by every program anew.
@@ -20,10 +30,9 @@ if [ $# -gt 0 ]; then
   exec $bin/pytest -m "not hardware" "$@"
 fi
 
-# Five processes side by side, so that one computes while others wait. Whole robots go by the clock, and are judged by
-# how often they know their place in time: all else gives way to them, and what only computes to all. Browsers come after
-# them. Sockets are most of the tests and mostly wait: two halves. What those in the background say comes when the one
-# that is seen has ended.
+# Six processes side by side, so that one computes while others wait. Whole robots go by the clock, and are judged by
+# how often they know their place in time: all else gives way to them, and what only computes to all. Sockets are most
+# of the tests and mostly wait: two halves. What those in the background say comes when the one that is seen has ended.
 run=($bin/pytest --durations=15)
 by_the_clock="not hardware and not computing"
 said=$(mktemp -d)
@@ -33,19 +42,14 @@ beside() {
   "$@" -p no:cacheprovider >"$said/${#pids[@]}" 2>&1 &
   pids+=($!)
 }
-robots_then_browsers() {
-  local failed=0
-  "$@" -m "$by_the_clock and slow" tests/integration tests/e2e || failed=$?
-  "$@" -m "$by_the_clock and not slow" tests/e2e || failed=$?
-  return $failed
-}
 # Lint needs nothing that is installed here, and computes while that is fetched. Unit tests come after it: both would
 # install what checks the page.
 beside nice -n 19 bash -c 'scripts/lint.sh && until [ -e "$0/installed" ]; do sleep 1; done && exec "$@"' "$said" \
   "${run[@]}" -m "not hardware and computing" tests/unit
 install_missing
 touch "$said/installed"
-beside robots_then_browsers "${run[@]}"
+beside "${run[@]}" -m "$by_the_clock and slow" tests/integration tests/e2e
+beside nice "${run[@]}" -m "$by_the_clock and not slow" tests/e2e
 beside nice -n 19 "${run[@]}" -m "not hardware and computing" tests/golden tests/property tests/integration tests/e2e
 beside nice "${run[@]}" -m "$by_the_clock and not slow" tests/integration/test_[a-k]*.py
 failed=0

@@ -11,6 +11,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from statistics import median
 
 import cv2
 import msgspec
@@ -161,7 +162,8 @@ async def test_imu_counts_every_sample_and_stamps_them_at_its_rate(devices: Devi
     assert {b.sequence - a.sequence for a, b in pairwise(readings)} == {1}
     steps = [b.t_robot_ns - a.t_robot_ns for a, b in pairwise(readings)]
     assert min(steps) > 0
-    assert sum(steps) / len(steps) == pytest.approx(1e9 / noise.rate_hz, rel=0.02)
+    # Not the mean: the first arrivals may have been slow, and a quicker one moves the clock.
+    assert median(steps) == pytest.approx(1e9 / noise.rate_hz, rel=0.02)
 
 
 async def test_imu_delivers_what_came_while_nobody_asked(devices: DeviceSet) -> None:

@@ -105,6 +105,13 @@ def test_what_checks_the_page_is_installed_with_the_rest_for_development(
     assert (machine.root / ".venv" / f".{kind}").exists()
 
 
+def test_an_environment_alone_installs_nothing_and_is_no_reason_to_leave_that_out_later(machine: Machine) -> None:
+    machine.add_python("python3", 11)
+    assert machine.setup("env").returncode == 0
+    assert "pip install" not in (machine.root / "calls").read_text()
+    assert [path.name for path in (machine.root / ".venv").iterdir()] == ["bin"]
+
+
 def test_half_an_environment_is_made_anew(machine: Machine) -> None:
     (machine.root / ".venv" / "bin").mkdir(parents=True)
     broken = machine.root / ".venv" / "bin" / "python"

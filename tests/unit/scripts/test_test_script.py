@@ -15,16 +15,19 @@ echo "$(basename "$0") $*"
 case "$(basename "$0") $*" in *"$FAILING"*) exit "$STATUS" ;; esac
 """
 
+SCRIPTS = ("scripts/setup.sh", "scripts/apt-need.sh", "scripts/open3d-need.sh")
+
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """The script in a folder where every tool only says how it was called, and what is called with FAILING fails."""
     tools = [f".venv/bin/{name}" for name in ("ruff", "bandit", "mypy", "lint-imports", "python", "pytest")]
-    for name in (*tools, "scripts/apt-need.sh", "scripts/open3d-need.sh", "firmware/install-deps.sh"):
+    for name in (*tools, *SCRIPTS, "firmware/install-deps.sh"):
         tool = tmp_path / name
         tool.parent.mkdir(parents=True, exist_ok=True)
         tool.write_text(STAND_IN)
         tool.chmod(0o755)
+    (tmp_path / "Makefile").write_text(".venv/.dev: ; @touch $@\n")
     for name in ("test.sh", "lint.sh"):
         shutil.copy(ROOT / "scripts" / name, tmp_path / "scripts")
     return tmp_path
@@ -42,15 +45,15 @@ def run(
     )  # fmt: skip
 
 
-def test_every_test_is_in_one_of_five_processes(folder: Path) -> None:
+def test_every_test_is_in_one_of_six_processes(folder: Path) -> None:
     result = run(folder)
     assert result.returncode == 0, result.stderr
     assert [line for line in result.stdout.splitlines() if line.startswith("pytest")] == [
         "pytest --durations=15 -m not hardware and not computing and not slow tests/integration/test_[!a-k]*.py",
         "pytest --durations=15 -m not hardware and computing tests/unit -p no:cacheprovider",
-        "pytest --durations=15 -p no:cacheprovider -m not hardware and not computing and slow tests/integration"
-        " tests/e2e",
-        "pytest --durations=15 -p no:cacheprovider -m not hardware and not computing and not slow tests/e2e",
+        "pytest --durations=15 -m not hardware and not computing and slow tests/integration tests/e2e"
+        " -p no:cacheprovider",
+        "pytest --durations=15 -m not hardware and not computing and not slow tests/e2e -p no:cacheprovider",
         "pytest --durations=15 -m not hardware and computing tests/golden tests/property tests/integration tests/e2e"
         " -p no:cacheprovider",
         "pytest --durations=15 -m not hardware and not computing and not slow tests/integration/test_[a-k]*.py"
