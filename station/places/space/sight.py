@@ -25,6 +25,16 @@ class Sight:
     reach: FloatArray  # (SECTORS,) how far; 0 where nothing was seen
     farthest: float  # of all sights
 
+    @classmethod
+    def of(cls, eye_map: FloatArray, p_map: FloatArray, R_ground_map: FloatArray, farthest: float) -> Sight | None:
+        """From an eye (3,) to points (n, 3) that it saw; None of none. A point beyond `farthest` counts as that far."""
+        d = ((p_map - eye_map) @ R_ground_map.T)[:, :2]
+        d = d[np.isfinite(d).all(axis=1)]
+        if not len(d):
+            return None
+        reach = SHORT_OF * np.minimum(_bridged(_second_farthest(d)), farthest)
+        return cls((R_ground_map @ eye_map)[:2], reach, farthest)
+
     def sees_through(self, p: FloatArray) -> npt.NDArray[np.bool_]:
         """(n,) whether points (n, 2) lie in front of what was seen in their direction."""
         d = p - self.eye
@@ -35,11 +45,9 @@ def sights(navigation: Navigation, R_ground_map: FloatArray, farthest: float) ->
     """One for each keyframe or depth scan that observed something; `farthest`: a point beyond counts as this far."""
     seen = Observed.of(navigation)
     for eye, rows in zip(seen.eye_map, seen.by_eye(), strict=True):
-        d = ((seen.p_map[seen.point[rows]] - eye) @ R_ground_map.T)[:, :2]
-        d = d[np.isfinite(d).all(axis=1)]
-        if len(d):
-            reach = SHORT_OF * np.minimum(_bridged(_second_farthest(d)), farthest)
-            yield Sight((R_ground_map @ eye)[:2], reach, farthest)
+        sight = Sight.of(eye, seen.p_map[seen.point[rows]], R_ground_map, farthest)
+        if sight is not None:
+            yield sight
 
 
 def _second_farthest(d: FloatArray) -> FloatArray:

@@ -39,6 +39,7 @@ class Space:
     R_ground_map: FloatArray  # (3, 3) to axes whose z is up
     low: FloatArray  # (2,) map units, on the ground
     cell: float  # map units
+    metre: float  # map units
     free: Cells  # seen through, or driven through
     driven: Cells  # of it: by the robot's body
     known: Cells  # the part of it that belongs to the map, and what is at hand of the path
@@ -51,7 +52,7 @@ class Space:
         path = (_path(navigation) @ R.T)[:, :2]
         if not len(path):
             none = np.zeros((0, 0), dtype=np.bool_)
-            return cls(R, np.zeros(2), 1.0, none, none, none, np.zeros((0, 0), np.uint16))
+            return cls(R, np.zeros(2), 1.0, 1.0, none, none, none, np.zeros((0, 0), np.uint16))
         metre = units_per_metre(navigation)
         carving = Carving.around(path, metre, cell_m)
         for sight in sights(navigation, R, FARTHEST_M * metre):
@@ -66,20 +67,24 @@ class Space:
         low, cell, seen = carving.low, carving.cell, carving.seen
         on_path = np.zeros(seen.shape, dtype=np.bool_)
         on_path[tuple(np.floor((path - low) / cell).astype(int).T)] = True
-        driven = _within(on_path, DRIVEN_M * metre / cell)
+        driven = within(on_path, DRIVEN_M * metre / cell)
         free = (seen >= SEEN_BY) | driven
         at_hand_m = AT_HAND_M if has_wheels else CARRIED_AT_HAND_M
         half_passage = 0.5 * PASSAGE_M * metre / cell
-        reached = _reached(free, driven, half_passage)
-        known = reached | driven | (_within(on_path, at_hand_m * metre / cell) & (seen < SEEN_BY))
-        return cls(R_ground_map, low, cell, free, driven, _closed(known, half_passage), seen)
+        reached = reached_from(driven, free, half_passage)
+        known = reached | driven | (within(on_path, at_hand_m * metre / cell) & (seen < SEEN_BY))
+        return cls(R_ground_map, low, cell, metre, free, driven, closed(known, half_passage), seen)
 
     def knows(self, p_map: FloatArray) -> Cells:
         """(n,) whether positions (n, 3) lie where the map knows its way."""
+        return self.among(self.known, p_map)
+
+    def among(self, cells: Cells, p_map: FloatArray) -> Cells:
+        """(n,) whether positions (n, 3) lie in some of these cells."""
         index = np.floor(((p_map @ self.R_ground_map.T)[:, :2] - self.low) / self.cell).astype(np.int64)
-        inside = np.all((index >= 0) & (index < self.known.shape), axis=1)
+        inside = np.all((index >= 0) & (index < cells.shape), axis=1)
         found = np.zeros(len(p_map), dtype=np.bool_)
-        found[inside] = self.known[tuple(index[inside].T)]
+        found[inside] = cells[tuple(index[inside].T)]
         return found
 
 
@@ -89,23 +94,23 @@ def _path(navigation: Navigation) -> FloatArray:
     return np.asarray(p[np.isfinite(p).all(axis=1)])
 
 
-def _within(cells: Cells, distance: float) -> Cells:
+def within(cells: Cells, distance: float) -> Cells:
     """Cells no farther than `distance` (cells) from some of these."""
     return np.asarray(ndimage.distance_transform_edt(~cells) <= distance, dtype=np.bool_)
 
 
-def _reached(free: Cells, driven: Cells, radius: float) -> Cells:
-    """The free cells that a disc of this radius (cells) covers wherever it can roll to from where the robot drove.
+def reached_from(entered: Cells, free: Cells, radius: float) -> Cells:
+    """The free cells that a disc of this radius (cells) covers wherever it can roll to from some that were entered.
 
     Opening by reconstruction (Vincent, IEEE Trans. Image Processing 1993).
     """
     wide = ndimage.distance_transform_edt(free) > radius
     labels, _ = ndimage.label(wide, np.ones((3, 3)))
-    entered = np.unique(labels[driven & wide])
-    return np.asarray(free & _within(np.isin(labels, entered) & wide, radius + 1.0), dtype=np.bool_)
+    parts = np.unique(labels[entered & wide])
+    return np.asarray(free & within(np.isin(labels, parts) & wide, radius + 1.0), dtype=np.bool_)
 
 
-def _closed(cells: Cells, radius: float) -> Cells:
+def closed(cells: Cells, radius: float) -> Cells:
     """Those cells, and all others that no disc of this radius (cells) covers without touching one of them."""
     margin = int(radius) + 2  # the disc fits beside all of them
     outside = ndimage.distance_transform_edt(~np.pad(cells, margin)) > radius

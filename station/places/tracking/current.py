@@ -69,7 +69,8 @@ class CurrentPlaceEstimator:
         """`calibration`: of the robot that drives now; by default that of the first map's navigation."""
         if calibration is None and maps:
             calibration = maps[0].navigation.calibration
-        self.config = (config or BeliefConfig()).for_rig(calibration is None or calibration.has_wheels)
+        self._has_wheels = calibration is None or calibration.has_wheels
+        self.config = (config or BeliefConfig()).for_rig(self._has_wheels)
         self._maps = tuple(MapView.of(m) for m in maps)
         self._map_ids = {m.id for m in maps}
         self._evidence = ImageEvidence(self._maps, calibration, self.config)
@@ -127,7 +128,10 @@ class CurrentPlaceEstimator:
         image = self._evidence.of_candidates(ours, self._belief, T_nav_body, aim)
         self._update(image, t, T_nav_body)
         self._failed_before = 0.0
-        return self._believe(t, T_nav_body)
+        jump = self._believe(t, T_nav_body)
+        if not self._has_wheels:
+            self._look_around(ours, t, T_nav_body)
+        return jump
 
     def on_failure(self, t_robot_ns: int, num_features: int | None = None, aim: Aim = AHEAD) -> None:
         """An image that could not be localised. With few features (dark, covered, a white wall) it says nothing."""
@@ -223,6 +227,24 @@ class CurrentPlaceEstimator:
         distance, turn = _motion(before.pose(T_nav_body), best.pose(T_nav_body))
         distance_m = distance / best.unit
         return Jump(distance_m, False, moved) if distance_m > c.jump_m or turn > c.jump_rad else None
+
+    def _look_around(self, localizations: Sequence[Localization], t_robot_ns: int, T_nav_body: FloatArray) -> None:
+        """At a pose that is believed, but where the map does not know its way, what this image saw through is free.
+
+        Not on wheels: a mapping drive has looked along where they go, and what is left is behind doors.
+        """
+        best = self._believed
+        if best is None or self._believed_ns != t_robot_ns:
+            return
+        view = self._maps[best.map_index]
+        if view.reach.knows(best.pose(T_nav_body)[None, :3, 3])[0]:
+            return
+        for z in localizations:
+            if (z.map_id, z.keyframe_index) == (view.place_map.id, best.evidence_keyframe):
+                wider = view.looking(z)
+                self._maps = tuple(wider if i == best.map_index else m for i, m in enumerate(self._maps))
+                self._reporter.regroup(self._maps)
+                return
 
     def _freshness(self, T_nav_body: FloatArray) -> float:
         """0..1: how far the view is another one than the last image's; without odometry nobody knows that it is not."""

@@ -8,9 +8,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from shared.geometry import FloatArray
+from station.model.place_answer import Localization
 from station.model.place_map import PlaceMap
 from station.places.making.scale import units_per_metre
 from station.places.space.space import Space
+from station.places.space.widened import WidenedSpace
 from station.places.tracking.floor import Floor
 from station.places.tracking.room_view import RoomView
 from station.places.tracking.sightings import Sightings
@@ -23,7 +25,8 @@ class MapView:
     tree: cKDTree | None  # of the centroids; None without places
     unit: float  # map units per metre
     area_m2: float
-    space: Space
+    space: Space  # as the mapping navigation saw it: by it an image's evidence is judged
+    reach: WidenedSpace  # and as recognised images saw it since: by it a pose that is believed
     floor: Floor | None
     sightings: Sightings
     rooms: RoomView | None  # None without rooms
@@ -34,13 +37,15 @@ class MapView:
         positions = place_map.navigation.keyframes.T_world_cam[:, :2, 3]
         size = np.ptp(positions, axis=0) / unit + 2.0 if len(positions) else np.array([2.0, 2.0])
         centroids = _centroids(place_map)
+        space = Space.of(place_map.navigation)
         return cls(
             place_map=place_map,
             centroids=centroids,
             tree=_tree(centroids),
             unit=unit,
             area_m2=float(np.prod(size)),
-            space=Space.of(place_map.navigation),
+            space=space,
+            reach=WidenedSpace.of(space),
             floor=Floor.of(place_map.navigation),
             sightings=Sightings(place_map, unit),
             rooms=RoomView.of(place_map.plan),
@@ -51,6 +56,11 @@ class MapView:
         centroids = _centroids(place_map)
         rooms = RoomView.of(place_map.plan)
         return replace(self, place_map=place_map, centroids=centroids, tree=_tree(centroids), rooms=rooms)
+
+    def looking(self, z: Localization) -> MapView:
+        """The same map, which reaches farther by what a recognised image saw through."""
+        p_seen = self.place_map.navigation.landmarks.p_world[z.landmarks]
+        return replace(self, reach=self.reach.looking(z.T_map_cam[:3, 3], p_seen))
 
     def nearest(self, p_map: FloatArray, tie: float) -> tuple[FloatArray, FloatArray]:
         """Shares of points (n, 3) that each place is the nearest one to, and near within `tie` times that; (P,), (P,).

@@ -159,7 +159,7 @@ class Reporter:
         if not len(view.centroids):
             return np.zeros(0), np.zeros(0), 0.0
         share, tied = view.nearest(p_map, TIE)
-        return share, tied, float(view.space.knows(p_map).mean())
+        return share, tied, float(view.reach.knows(p_map).mean())
 
     def _place(self, number: int) -> Place:
         """By its number in `PlaceProbabilities`."""
