@@ -30,9 +30,10 @@ if [ $# -gt 0 ]; then
   exec $bin/pytest -m "not hardware" "$@"
 fi
 
-# Six processes side by side, so that one computes while others wait. Whole robots go by the clock, and are judged by
-# how often they know their place in time: all else gives way to them, and what only computes to all. Sockets are most
-# of the tests and mostly wait: two halves. What those in the background say comes when the one that is seen has ended.
+# Five processes side by side, so that one computes while others wait. Whole robots go by the clock, and are judged by
+# how often they know their place in time: all else gives way to them, and what only computes to all. Browsers come after
+# them. Sockets are most of the tests and mostly wait: two halves. What those in the background say comes when the one
+# that is seen has ended.
 run=($bin/pytest --durations=15)
 by_the_clock="not hardware and not computing"
 said=$(mktemp -d)
@@ -42,14 +43,19 @@ beside() {
   "$@" -p no:cacheprovider >"$said/${#pids[@]}" 2>&1 &
   pids+=($!)
 }
+robots_then_browsers() {
+  local failed=0
+  "$@" -m "$by_the_clock and slow" tests/integration tests/e2e || failed=$?
+  "$@" -m "$by_the_clock and not slow" tests/e2e || failed=$?
+  return $failed
+}
 # Lint needs nothing that is installed here, and computes while that is fetched. Unit tests come after it: both would
 # install what checks the page.
 beside nice -n 19 bash -c 'scripts/lint.sh && until [ -e "$0/installed" ]; do sleep 1; done && exec "$@"' "$said" \
   "${run[@]}" -m "not hardware and computing" tests/unit
 install_missing
 touch "$said/installed"
-beside "${run[@]}" -m "$by_the_clock and slow" tests/integration tests/e2e
-beside nice "${run[@]}" -m "$by_the_clock and not slow" tests/e2e
+beside robots_then_browsers "${run[@]}"
 beside nice -n 19 "${run[@]}" -m "not hardware and computing" tests/golden tests/property tests/integration tests/e2e
 beside nice "${run[@]}" -m "$by_the_clock and not slow" tests/integration/test_[a-k]*.py
 failed=0

@@ -45,15 +45,15 @@ def run(
     )  # fmt: skip
 
 
-def test_every_test_is_in_one_of_six_processes(folder: Path) -> None:
+def test_every_test_is_in_one_of_five_processes(folder: Path) -> None:
     result = run(folder)
     assert result.returncode == 0, result.stderr
     assert [line for line in result.stdout.splitlines() if line.startswith("pytest")] == [
         "pytest --durations=15 -m not hardware and not computing and not slow tests/integration/test_[!a-k]*.py",
         "pytest --durations=15 -m not hardware and computing tests/unit -p no:cacheprovider",
-        "pytest --durations=15 -m not hardware and not computing and slow tests/integration tests/e2e"
-        " -p no:cacheprovider",
-        "pytest --durations=15 -m not hardware and not computing and not slow tests/e2e -p no:cacheprovider",
+        "pytest --durations=15 -p no:cacheprovider -m not hardware and not computing and slow tests/integration"
+        " tests/e2e",
+        "pytest --durations=15 -p no:cacheprovider -m not hardware and not computing and not slow tests/e2e",
         "pytest --durations=15 -m not hardware and computing tests/golden tests/property tests/integration tests/e2e"
         " -p no:cacheprovider",
         "pytest --durations=15 -m not hardware and not computing and not slow tests/integration/test_[a-k]*.py"
