@@ -133,7 +133,7 @@ class Reception:
             while True:
                 try:
                     if not self._waiting:
-                        self._receive(*await loop.sock_accept(self._listener))
+                        await _until_readable(loop, self._listener)
                     self._receive_all()
                 except OSError as exc:
                     logger.warning("no connection can be taken just now: %s", exc)
@@ -150,7 +150,7 @@ class Reception:
             await asyncio.gather(*handshakes, return_exceptions=True)
 
     def _receive_all(self) -> None:
-        """What else waits in the kernel, which keeps no more than `listening.BACKLOG`."""
+        """What waits in the kernel, which keeps no more than `listening.BACKLOG`."""
         with contextlib.suppress(BlockingIOError):
             for _ in range(ACCEPTED_AT_ONCE):
                 self._receive(*self._listener.accept())
@@ -193,6 +193,16 @@ class Reception:
             await loop.connect_accepted_socket(lambda: self._make_protocol(caller), caller.connection, **self._tls)
         except OSError as exc:  # also what TLS does not like, and a handshake that takes too long
             logger.debug("a connection ended before its handshake did: %s", exc)
+
+
+async def _until_readable(loop: asyncio.AbstractEventLoop, listener: socket.socket) -> None:
+    """Not `loop.sock_accept`: what that has accepted when the task is cancelled belongs to nobody, and stays open."""
+    readable = asyncio.Event()
+    loop.add_reader(listener, readable.set)
+    try:
+        await readable.wait()
+    finally:
+        loop.remove_reader(listener)
 
 
 def _has_ended(connection: socket.socket) -> bool:

@@ -5,8 +5,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
+import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+
+import pytest
 
 from shared.listening import bind
 from shared.reception import HANDSHAKES_AT_ONCE, Caller, Reception
@@ -83,3 +86,34 @@ async def test_who_has_gone_without_a_word_is_not_received() -> None:
         with call(listener, OWNER):
             await until_spoken(order, 1)
     assert order == [OWNER]
+
+
+@pytest.mark.parametrize("turns", range(6))
+async def test_a_connection_that_comes_while_reception_ends_is_closed(turns: int) -> None:
+    """However far it was taken in when the end came."""
+    order: list[str] = []
+    async with received(listener := bind("127.0.0.1", 0), order):
+        await asyncio.sleep(0.05)  # it waits for callers
+        caller = call(listener, STRANGER)
+        for _ in range(turns):
+            await asyncio.sleep(0)
+    for _ in range(3):
+        await asyncio.sleep(0.01)
+    with caller:
+        caller.settimeout(1.0)
+        if not order:
+            with contextlib.suppress(ConnectionResetError):
+                assert caller.recv(1) == b""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="TCP_DEFER_ACCEPT is Linux's")
+async def test_who_says_nothing_stays_with_the_kernel_until_he_speaks() -> None:
+    order: list[str] = []
+    async with received(listener := bind("127.0.0.1", 0), order):
+        with socket.create_connection(listener.getsockname()[:2], source_address=(STRANGER, 0)) as silent:
+            with call(listener, OWNER):
+                await until_spoken(order, 1)
+            assert order == [OWNER]
+            silent.sendall(b"x")
+            await until_spoken(order, 2)
+    assert order == [OWNER, STRANGER]
