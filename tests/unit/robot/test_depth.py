@@ -37,11 +37,19 @@ def test_the_newest_goes_four_times_a_second_on_this_machine() -> None:
     assert np.diff(sent(slot, stream, 2.0, 1000)).tolist() == [LEAST_INTERVAL_NS] * 7
 
 
-def test_beyond_it_nothing_goes_until_the_link_is_known() -> None:
+def test_beyond_it_no_large_one_goes_until_the_link_is_known() -> None:
     slot, meter = DepthSlot(), LinkMeter()
     stream = DepthStream(slot, meter, is_on_this_machine=False)
     assert sent(slot, stream, 1.0, 1000) == []
     assert not stream.is_at_end
+
+
+def test_a_range_sensor_goes_also_where_no_camera_tells_what_the_link_carries() -> None:
+    """Its picture is one pixel, and a robot with Mega and HC-SR04 alone has no other."""
+    slot = DepthSlot()
+    pixel = cv2.imencode(".png", np.full((1, 1), 1234, np.uint16))[1].tobytes()
+    stream = DepthStream(slot, LinkMeter(), is_on_this_machine=False)
+    assert np.diff(sent(slot, stream, 2.0, len(pixel))).tolist() == [LEAST_INTERVAL_NS] * 7
 
 
 @pytest.mark.parametrize(("bytes_per_s", "size"), [(1e6, 200_000), (1e6, 1000), (2e5, 40_000)])
