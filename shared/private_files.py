@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ from shared.disk import PRIVATE, lock, replacing
 from shared.errors import ConfigError
 
 _OTHERS = 0o077
+_SPARE_BYTES = 64 * 1024  # a book of tokens has some 300 bytes for each
 
 
 def make_private_folder(folder: Path) -> None:
@@ -25,14 +27,36 @@ def make_private_folder(folder: Path) -> None:
 def write_private(path: Path, content: bytes) -> None:
     """Replace a file in one step, mode 0600: no power cut brings back who was revoked.
 
-    Raises ConfigError; the old one stays then.
+    On a full disk it takes the space that `keep_spare` kept. Raises ConfigError; the old one stays then.
     """
     try:
-        with replacing(path, mode=PRIVATE) as file:
-            _give_to_owner_of_folder(file.fileno(), path)
-            file.write(content)
+        try:
+            _replace(path, content)
+        except OSError as exc:
+            if exc.errno not in (errno.ENOSPC, errno.EDQUOT) or not _spare_of(path).exists():
+                raise
+            _spare_of(path).unlink()
+            _replace(path, content)
     except OSError as exc:
         raise ConfigError(f"{path} cannot be written ({exc.strerror}); free space or correct its owner") from exc
+
+
+def keep_spare(path: Path) -> None:
+    """Keep space beside a file for the time when the disk is full; nothing where there is none to keep."""
+    spare = _spare_of(path)
+    with contextlib.suppress(OSError):
+        if not spare.exists():
+            _replace(spare, os.urandom(_SPARE_BYTES))  # zeros would take no space on some disks
+
+
+def _spare_of(path: Path) -> Path:
+    return path.with_name(f"{path.name}.spare")
+
+
+def _replace(path: Path, content: bytes) -> None:
+    with replacing(path, mode=PRIVATE) as file:
+        _give_to_owner_of_folder(file.fileno(), path)
+        file.write(content)
 
 
 def read_private(path: Path) -> bytes | None:

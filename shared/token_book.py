@@ -12,7 +12,7 @@ import msgspec
 
 from shared.access import Role, Token, is_proof, is_secret_of
 from shared.errors import ConfigError
-from shared.private_files import locked, make_private_folder, read_private, write_private
+from shared.private_files import keep_spare, locked, make_private_folder, read_private, write_private
 from shared.text import is_printable
 
 FILE_NAME = "tokens.json"
@@ -51,7 +51,9 @@ class _File(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TokenBook:
-    """Who may. Every change is written at once; what other programs wrote is seen after `refresh`.
+    """Who may. Every change is written at once, also on a full disk: space is kept for that.
+
+    What other programs wrote is seen after `refresh`.
 
     The records are replaced, never changed: one thread may write while another asks. Threads write one after another,
     and nothing is read anew meanwhile, which would undo what is about to be written.
@@ -163,7 +165,10 @@ class TokenBook:
         return token
 
     def revoke(self, name_or_id: str, now_s: float) -> list[TokenRecord]:
-        """End a token (all live ones of this name, or the one with this id) and all that belongs to it."""
+        """End a token (all live ones of this name, or the one with this id) and all that belongs to it.
+
+        Raises ConfigError: it cannot be written, and nobody is revoked.
+        """
         with self._changing():
             ended = [r for r in self._records.values() if r.is_live(now_s) and name_or_id in (r.id, r.name)]
             ended = [r for r in ended if r.kind == "token" or r.id == name_or_id]
@@ -223,10 +228,15 @@ class TokenBook:
 
     @contextlib.contextmanager
     def _changing(self) -> Iterator[None]:
-        """Alone among threads and programs, and with what they wrote last."""
+        """Alone among threads and programs, and with what they wrote last; what cannot be written is not so."""
         with self._writer, locked(self.path):
             self._read()
-            yield
+            written = self._records
+            try:
+                yield
+            except BaseException:
+                self._records = written
+                raise
 
     def _read(self) -> None:
         stamp = self._stamp_now()  # before the content: what is written in between is found at the next look
@@ -249,8 +259,10 @@ class TokenBook:
             and (record.kind == "token" or self.live(record.id, now_s) is not None)
         ]
         self._records = {record.id: record for record in kept}
-        write_private(self.path, msgspec.json.format(msgspec.json.encode(_File(tokens=tuple(kept)))))
+        content = msgspec.json.format(msgspec.json.encode(_File(tokens=tuple(kept))))
+        write_private(self.path, content)
         self._stamp = self._stamp_now()
+        keep_spare(self.path)
 
     def _stamp_now(self) -> tuple[int, int, int]:
         try:

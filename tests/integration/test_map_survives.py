@@ -6,6 +6,7 @@ import contextlib
 import multiprocessing
 import os
 import subprocess
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from tests.support.crashing.disks import NoDisk
 from tests.support.crashing.flips import flip_many
 from tests.support.crashing.maps import MAP, variant
 from tests.support.crashing.runs import RUNS_ON_BAD_DISK, SCENARIOS, run_once, run_two_stations
+from tests.support.disk import small_disk
 from tests.support.postgres import PostgresServer, running_postgres
 from tests.support.store import rename_place
 
@@ -91,21 +93,6 @@ def test_a_disk_that_refuses_in_the_middle_costs_nothing(scenario: str, fault: s
         RUNS_ON_BAD_DISK[fault](scenario, 1)
     except NoDisk as exc:
         pytest.skip(f"no small disk can be had here: {exc}")
-
-
-@contextlib.contextmanager
-def small_disk(folder: Path, size: str) -> Iterator[Path]:
-    """A file system of its own; skips where it cannot be mounted."""
-    if os.getuid() != 0:
-        pytest.skip("only root may mount a small disk")
-    folder.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "none", folder], capture_output=True)
-    if mounted.returncode != 0:
-        pytest.skip(f"no tmpfs can be mounted here: {mounted.stderr.decode().strip()}")
-    try:
-        yield folder
-    finally:
-        subprocess.run(["umount", folder], check=True)
 
 
 def save_until_full(store: MapStore) -> int:

@@ -35,6 +35,7 @@ from station.config import AccessConfig as StationAccessConfig
 from station.config import ApiConfig, StationConfig
 from station.errors import Conflict, TooManyGuesses, WrongToken
 from tests.support.access import NOW, set_up
+from tests.support.disk import fill, small_disk
 
 
 def test_roles_include_the_ones_before_them() -> None:
@@ -105,6 +106,34 @@ def test_revoking_ends_a_token_and_its_sessions_and_others_see_it(tmp_path: Path
     assert running.find(other.text, 3.0) is not None
     assert [(t.name, t.revoked_s) for t in running.tokens()] == [("anna", 2.0), ("ben", None)]
     assert book.add("anna", Role.WATCH, 4.0).text != token.text  # the name is free again
+
+
+def test_who_is_revoked_on_a_full_disk_stays_out_also_after_a_restart(tmp_path: Path) -> None:
+    with small_disk(tmp_path / "disk", "1m") as disk:
+        book = TokenBook.create(disk / "access")
+        token = book.add("anna", Role.ADMIN, 0.0)
+        other = book.add("ben", Role.ADMIN, 0.0)
+        for name, gone in {"anna": token, "ben": other}.items():
+            fill(disk)
+            assert [r.name for r in book.revoke(name, 1.0)] == [name]
+            assert book.find(gone.text, 2.0) is None
+            assert TokenBook(disk / "access").find(gone.text, 2.0) is None
+
+
+def test_who_cannot_be_revoked_is_not_said_to_be(tmp_path: Path) -> None:
+    with small_disk(tmp_path / "disk", "1m") as disk:
+        book = TokenBook.create(disk / "access")
+        token = book.add("anna", Role.ADMIN, 0.0)
+        fill(disk)
+        (disk / "access" / "tokens.json.spare").unlink()
+        fill(disk)
+        with pytest.raises(ConfigError, match="No space left"):
+            book.revoke("anna", 1.0)
+        assert [t.revoked_s for t in book.tokens()] == [None]  # as it will be after a restart
+        with pytest.raises(ConfigError, match="No space left"):
+            book.add("ben", Role.WATCH, 1.0)
+        assert [t.name for t in book.tokens()] == ["anna"]
+        assert book.find(token.text, 2.0) is not None
 
 
 def test_names_are_unique_among_those_who_may_and_lifetimes_end(tmp_path: Path) -> None:
