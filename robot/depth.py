@@ -10,8 +10,8 @@ from shared.messages import Depth
 # A robot at 0.4 m/s has moved 10 cm since the last one: what is nearer together shows the same again.
 LEAST_INTERVAL_NS = 250_000_000
 SHARE = 0.25  # of the link's bytes: pictures are what people drive by
-# A range sensor's pixel (68 bytes) goes whatever the link: four a second are less than the answers to heartbeats. A robot
-# without a camera never learns what its link carries, and its driver sees nothing else.
+# A range sensor's pixel (68 bytes) goes whatever the link: four a second are less than the answers to heartbeats.
+# A robot without a camera never learns what its link carries, and its driver sees nothing else.
 ALWAYS_BYTES = 256
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
-import os
-import subprocess
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
