@@ -79,7 +79,7 @@ class CurrentPlaceEstimator:
         self._odometry: deque[_OdometryPose] = deque(maxlen=HISTORY)
         self._segment = 0
         self._t_ns: int | None = None  # up to which time the belief is predicted
-        self._last_view: _OdometryPose | None = None  # of the last image that was weighed
+        self._last_view: FloatArray | None = None  # T_nav_head of the last image that was weighed
         self._failed_before = NO_IMAGE_BEFORE
         self._numbers = count(1)
         self._believed: Hypothesis | None = None  # where the robot was known to be
@@ -126,7 +126,7 @@ class CurrentPlaceEstimator:
         self._predict(t)
         T_nav_body = self._nav_body_at(t)
         image = self._evidence.of_candidates(ours, self._belief, T_nav_body, aim)
-        self._update(image, t, T_nav_body)
+        self._update(image, T_nav_body, aim)
         self._failed_before = 0.0
         jump = self._believe(t, T_nav_body)
         if not self._has_wheels:
@@ -141,9 +141,9 @@ class CurrentPlaceEstimator:
             return
         features = least if num_features is None else num_features
         T_nav_body = self._nav_body_at(t_robot_ns)
-        freshness = self._freshness(T_nav_body)
+        freshness = self._freshness(T_nav_body @ aim.T_body_head)
         image = self._evidence.of_failure(features, self._failed_before, self._belief, T_nav_body, freshness, aim)
-        self._update(image, t_robot_ns, T_nav_body)
+        self._update(image, T_nav_body, aim)
         self._failed_before = 1.0
 
     def on_hijack(self, t_robot_ns: int, reason: str, confidence: float = 0.98) -> None:
@@ -200,9 +200,9 @@ class CurrentPlaceEstimator:
         self._last_view, self._failed_before = None, NO_IMAGE_BEFORE
         self._pass_time(t_robot_ns)
 
-    def _update(self, image: ImageLikelihood, t_robot_ns: int, T_nav_body: FloatArray) -> None:
+    def _update(self, image: ImageLikelihood, T_nav_body: FloatArray, aim: Aim) -> None:
         self._belief = prune(weigh(self._belief, image, T_nav_body, self._numbers, self.config), self.config)
-        self._last_view = _OdometryPose(t_robot_ns, T_nav_body)
+        self._last_view = T_nav_body @ aim.T_body_head
 
     def _believe(self, t_robot_ns: int, T_nav_body: FloatArray) -> Jump | None:
         """Note the hypothesis that has nearly all weight; a jump when it is another one than before, and elsewhere.
@@ -246,11 +246,11 @@ class CurrentPlaceEstimator:
                 self._reporter.regroup(self._maps)
                 return
 
-    def _freshness(self, T_nav_body: FloatArray) -> float:
+    def _freshness(self, T_nav_head: FloatArray) -> float:
         """0..1: how far the view is another one than the last image's; without odometry nobody knows that it is not."""
         if self._last_view is None or not self._odometry:
             return 1.0
-        distance, turn = _motion(self._last_view.T_nav_body, T_nav_body)
+        distance, turn = _motion(self._last_view, T_nav_head)
         return float(min((distance / USUAL_VIEWING_M + turn) / self.config.new_view_rad, 1.0))
 
     def _nav_body_at(self, t_robot_ns: int) -> FloatArray:

@@ -135,6 +135,19 @@ def test_a_robot_that_stands_still_before_a_view_it_does_not_know_keeps_its_plac
     assert answer.state == "known" and answer.place is not None and answer.place.id == "map-0"
 
 
+def test_a_robot_that_stands_still_and_looks_about_at_what_it_does_not_know_loses_its_place() -> None:
+    head = REFERENCE_ROBOT.head
+    assert head is not None
+    estimator = estimator_of(make_map())
+    estimator.on_odometry(0, pose(0, 0))
+    estimator.on_candidates([seen(0.0, pose(0.0, 0.0))])
+    for k in range(1, 25):
+        estimator.on_odometry(k * SECOND // 2, pose(0.0, 0.0))
+        aim = Aim(turned(head, 0.4 * (k % 4) - 0.6, 0.0), 0.05)
+        estimator.on_failure(k * SECOND // 2, num_features=400, aim=aim)
+    assert estimator.answer(12 * SECOND).state == "unknown"
+
+
 def test_a_covered_lens_is_no_evidence() -> None:
     estimator = estimator_of(make_map())
     estimator.on_odometry(0, pose(0, 0))
