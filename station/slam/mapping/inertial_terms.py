@@ -2,7 +2,8 @@
 
 What fixes the metre: the accelerometer feels every start, stop and turn, and the map's shape joins them all to one
 scale. The filter's relative motions (odometry.py) have the scale it believed in when it made them.
-Unknown beside the poses: a velocity each, biases that walk from block to block, the wheels' constants.
+Unknown beside the poses: a velocity each, biases that walk from block to block, the wheels' constants, and by how much
+a head that carries the camera is off at each pose.
 """
 
 from __future__ import annotations
@@ -11,10 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csc_matrix
+from scipy.sparse import csc_matrix, diags_array
 
 from shared.calibration import ImuNoise
-from shared.geometry import FloatArray, IntArray, skew
+from shared.geometry import FloatArray, IntArray, skew, so3_exp
+from station.motion import lie
 from station.motion.preintegration import Preintegration
 from station.slam.mapping.inertial_bundle import WindowLinks, WindowStates, inertial_residuals
 from station.slam.mapping.odometry import sparse_rows
@@ -36,6 +38,39 @@ class WheelTerms:
     sigma_mean: FloatArray  # (c,)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class HeadTerms:
+    """Where the poses of the map are those of a head: it is off by two angles (pan, tilt) at each."""
+
+    R_body_head: FloatArray  # (N, 3, 3) as far as is known
+    t_body_head: FloatArray  # (N, 3) m
+    axes: FloatArray  # (N, 3, 2) how its rotation changes with the angles, in body axes
+    shifts: FloatArray  # (N, 3, 2) m/rad, and how its position does
+    sigma_rad: float  # of the angles
+
+    def body(self, state: BundleState, off: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Rotations (N, 3, 3) and positions (N, 3) of the body, of angles that are `off` (N, 2)."""
+        turn, t = self._moved(off)
+        R = state.R_world_body @ np.swapaxes(self.R_body_head, 1, 2) @ so3_exp(-turn)
+        return R, state.p_world_body - np.einsum("nij,nj->ni", R, t)
+
+    def body_by_head(self, R_world_body: FloatArray, off: FloatArray) -> FloatArray:
+        """(N, 6, 8): how the body's rotation (on the right) and position change with the head's, and the angles."""
+        turn, t = self._moved(off)
+        J = np.zeros((len(off), 6, 8))
+        J[:, :3, :3] = so3_exp(turn) @ self.R_body_head
+        J[:, :3, 6:] = -lie.so3_left_jacobian(turn) @ self.axes
+        J[:, 3:, 3:6] = np.eye(3)
+        J[:, 3:] += R_world_body @ skew(t) @ J[:, :3]
+        J[:, 3:, 6:] -= R_world_body @ self.shifts
+        return J
+
+    def _moved(self, off: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Rotation vectors (N, 3) by which the head is turned too far, and positions (N, 3) of it on the body."""
+        turn = np.einsum("nij,nj->ni", self.axes, off)
+        return turn, self.t_body_head + np.einsum("nij,nj->ni", self.shifts, off)
+
+
 class InertialTerms:
     """Motion terms of N linked poses (see MotionTerms)."""
 
@@ -46,11 +81,15 @@ class InertialTerms:
         gravity: float,
         bias: FloatArray,
         wheels: WheelTerms | None,
+        head: HeadTerms | None = None,
     ) -> None:
-        """Args: links: the N - 1 between neighbouring poses; bias: (6,) gyro, accel, as good as it is known."""
+        """Args: links: the N - 1 between neighbouring poses; bias: (6,) gyro, accel, as good as it is known; head: of
+        poses that are a head's.
+        """
         self._links = WindowLinks.of(list(links))
         self._gravity = gravity
         self._wheels = wheels
+        self._head = head
         self._bias = bias
         n = len(links) + 1
         self._block: IntArray = np.arange(n) // POSES_PER_BIAS
@@ -59,7 +98,9 @@ class InertialTerms:
         self._sigma_walk = walk * np.sqrt(np.diff(middle))[:, None]  # (B - 1, 6)
         self._velocity = slice(0, 3 * n)
         self._biases = slice(3 * n, 3 * n + 6 * len(middle))
-        self.size = self._biases.stop + (0 if wheels is None else len(wheels.mean))
+        self._constants = slice(self._biases.stop, self._biases.stop + (0 if wheels is None else len(wheels.mean)))
+        self._angles = slice(self._constants.stop, self._constants.stop + (0 if head is None else 2 * n))
+        self.size = self._angles.stop
 
     def _times(self) -> FloatArray:
         return np.concatenate([[0.0], np.cumsum(self._links.duration_s)])
@@ -68,14 +109,23 @@ class InertialTerms:
         """BundleState.motion for velocities (N, 3): biases and wheels as they were known."""
         blocks = int(self._block[-1]) + 1
         wheels = np.zeros(0) if self._wheels is None else self._wheels.mean
-        return np.concatenate([v_world.ravel(), np.tile(self._bias, blocks), wheels])
+        angles = np.zeros(self._angles.stop - self._angles.start)
+        return np.concatenate([v_world.ravel(), np.tile(self._bias, blocks), wheels, angles])
 
     def velocities(self, state: BundleState) -> FloatArray:
         """(N, 3) m/s."""
         return state.motion[self._velocity].reshape(-1, 3)
 
+    def _body(self, state: BundleState) -> tuple[FloatArray, FloatArray]:
+        """Rotations (N, 3, 3) and positions (N, 3) of what carries the IMU."""
+        if self._head is None:
+            return state.R_world_body, state.p_world_body
+        return self._head.body(state, state.motion[self._angles].reshape(-1, 2))
+
     def cost(self, state: BundleState) -> float:
         cost = 0.0
+        if self._head is not None:
+            cost += float(((state.motion[self._angles] / self._head.sigma_rad) ** 2).sum())
         for r, _, _ in self._parts(state, with_jacobians=False):
             cost += float((r * r).sum())
         if self._wheels is not None:
@@ -94,14 +144,43 @@ class InertialTerms:
             jacobian = sparse_rows(J, columns, size)
             H = H + jacobian.T @ jacobian
             g += jacobian.T @ r.ravel()
+        if self._head is not None:
+            H, g = self._of_head(state, self._head, H, g)
         return (H + _held(state.R_world_body[0], size)).tocsc(), g
+
+    def _of_head(
+        self, state: BundleState, head: HeadTerms, H: csc_matrix, g: FloatArray
+    ) -> tuple[csc_matrix, FloatArray]:
+        """Equations of the body's poses as those of the head's, and of how far its angles are off."""
+        n = len(state.R_world_body)
+        first = 6 * n + self._angles.start
+        i = np.arange(n)[:, None]
+        pose, angles = 6 * i + np.arange(6), first + 2 * i + np.arange(2)
+        off = state.motion[self._angles].reshape(-1, 2)
+        by = head.body_by_head(self._body(state)[0], off)
+        rows = np.broadcast_to(pose[:, :, None], by.shape)
+        columns = np.broadcast_to(np.hstack([pose, angles])[:, None, :], by.shape)
+        rest = np.arange(6 * n, len(g))
+        J = csc_matrix(
+            (
+                np.concatenate([by.ravel(), np.ones(len(rest))]),
+                (np.concatenate([rows.ravel(), rest]), np.concatenate([columns.ravel(), rest])),
+            ),
+            shape=H.shape,
+        )
+        known = np.zeros(len(g))
+        known[first:] = head.sigma_rad**-2
+        g = J.T @ g
+        g[first:] += off.ravel() * known[first:]
+        return (J.T @ H @ J + diags_array(known)).tocsc(), g
 
     def _parts(self, state: BundleState, with_jacobians: bool) -> list[tuple[FloatArray, FloatArray, IntArray]]:
         """Whitened residuals (k, r), their derivatives (k, r, c) and the columns (k, c) of those."""
         n = len(state.R_world_body)
         v = self.velocities(state)
         bias = state.motion[self._biases].reshape(-1, 6)
-        states = WindowStates(state.R_world_body, v, state.p_world_body, bias[self._block], np.zeros((n, 3)))
+        R, p = self._body(state)
+        states = WindowStates(R, v, p, bias[self._block], np.zeros((n, 3)))
         r, J = inertial_residuals(states, self._links, self._gravity)
         W = self._links.sqrt_information
         r = (W @ r[..., None])[..., 0]
@@ -110,8 +189,8 @@ class InertialTerms:
         if not with_jacobians:
             return [(a, a, np.zeros(0, dtype=np.int64)) for a in (r, walked, first)]
         # The window's rotations are perturbed from the left, these from the right.
-        J[:, :, :3] = J[:, :, :3] @ state.R_world_body[:-1]
-        J[:, :, 15:18] = J[:, :, 15:18] @ state.R_world_body[1:]
+        J[:, :, :3] = J[:, :, :3] @ R[:-1]
+        J[:, :, 15:18] = J[:, :, 15:18] @ R[1:]
         i = np.arange(n - 1)[:, None]
         three, six = np.arange(3), np.arange(6)
         v_at, b_at = 6 * n, 6 * n + self._biases.start
@@ -132,8 +211,8 @@ class InertialTerms:
         """Whitened residuals (3 N + c,) of velocities and constants, and v_body (N, 3)."""
         wheels = self._wheels
         assert wheels is not None
-        constants = state.motion[self._biases.stop :]
-        v_body = np.einsum("nji,nj->ni", state.R_world_body, self.velocities(state))
+        constants = state.motion[self._constants]
+        v_body = np.einsum("nji,nj->ni", self._body(state)[0], self.velocities(state))
         off = (v_body - wheels.by_constants @ constants) / wheels.sigma
         return np.concatenate([off.ravel(), (constants - wheels.mean) / wheels.sigma_mean]), v_body
 
@@ -144,7 +223,7 @@ class InertialTerms:
         r, v_body = self._wheel_residuals(state)
         J = np.zeros((n, 3, 6 + c))
         J[:, :, :3] = skew(v_body)
-        J[:, :, 3:6] = np.swapaxes(state.R_world_body, 1, 2)
+        J[:, :, 3:6] = np.swapaxes(self._body(state)[0], 1, 2)
         J[:, :, 6:] = -wheels.by_constants
         J /= wheels.sigma[:, :, None]
         rows = np.concatenate(

@@ -93,6 +93,7 @@ def _from_views(
         calibration.gravity,
         WheelsKnown.before_the_drive(config.wheels) if calibration.has_wheels else None,
         lambda: len(make_landmarks(memory.keyframes.items, camera, config.quality)),
+        calibration.head,
         known,
     )
     if made is None:

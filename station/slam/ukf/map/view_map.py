@@ -12,12 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shared.calibration import CameraCalibration, ImuNoise
-from shared.geometry import FloatArray, inverse, se3, so3_log, upright
+from shared.calibration import CameraCalibration, HeadCalibration, ImuNoise
+from shared.geometry import FloatArray, inverse, se3, skew, so3_log, upright
 from station.model.navigation import Keyframes, Landmarks, join_maps
+from station.motion.head import SIGMA_PLAY_RAD
 from station.slam.mapping.assemble import Reconstructed
 from station.slam.mapping.inertial_mapping import lay_on_imu
-from station.slam.mapping.inertial_terms import InertialTerms, WheelTerms
+from station.slam.mapping.inertial_terms import HeadTerms, InertialTerms, WheelTerms
 from station.slam.mapping.odometry import Drift, RelativeMotions
 from station.slam.mapping.odometry_mapping import (
     DEAD_RECKONED_SCALES,
@@ -80,11 +81,14 @@ def map_views(
     gravity: float,
     wheels: WheelsKnown | None,
     count_tracks: Callable[[], int],
+    head: HeadCalibration | None,
     better: BetterKnown | None = None,
 ) -> ViewMap | None:
     """Map every segment and move its poses along. `wheels`: what is known of them before the drive.
 
-    Args: better: whose equations hold the IMU, so that they are asked in place of the filter's motions.
+    Args:
+        head: that carries the camera, where there is one.
+        better: whose equations hold the IMU, so that they are asked in place of the filter's motions.
 
     None where views have too few landmarks, and tracks would give more (`count_tracks` tells how many): SIFT cannot
     tell the fields of a chessboard apart, tracks can. Before plain walls both have few, and those of views are
@@ -113,7 +117,7 @@ def map_views(
         made = map_with_motions(features, rays, pairs, motions, calibration, views.mapping, adjuster, rows, scales)
         if made.tracks.num_points == 0:
             continue
-        terms = None if is_smoothed else inertial_terms(items, noise, gravity, wheels)
+        terms = None if is_smoothed else inertial_terms(items, noise, gravity, wheels, head)
         if made.tracks.num_points < LANDMARKS_PER_VIEW_FOR_IMU * len(items):
             terms = None  # too many views hang on the filter's motions, which had tracks of what no view finds again
         if terms is not None:
@@ -161,13 +165,12 @@ def relative_motions(items: list[View], noise: ImuNoise) -> RelativeMotions:
 
 
 def inertial_terms(
-    items: list[View], noise: ImuNoise, gravity: float, wheels: WheelsKnown | None
+    items: list[View], noise: ImuNoise, gravity: float, wheels: WheelsKnown | None, head: HeadCalibration | None
 ) -> InertialTerms | None:
-    """The IMU and the wheels along the views; None where readings are missing, or the head was turned: its pose is not
-    the body's."""
+    """The IMU and the wheels along the views; None where readings are missing."""
     links = [v.keyframe.link for v in items[1:]]
     known = [link for link in links if link is not None]
-    if len(known) < len(links) or any(v.keyframe.T_body_head is not None for v in items):
+    if len(known) < len(links):
         return None
     told = [v.keyframe.wheels for v in items]
     rolling = None
@@ -179,7 +182,23 @@ def inertial_terms(
             mean=wheels.mean,
             sigma_mean=wheels.sigma,
         )
-    return InertialTerms(known, noise, gravity, items[-1].keyframe.bias, rolling)
+    return InertialTerms(known, noise, gravity, items[-1].keyframe.bias, rolling, head_terms(items, head))
+
+
+def head_terms(items: list[View], head: HeadCalibration | None) -> HeadTerms | None:
+    """None while the head was never turned.
+
+    What its servos are off by at each angle the filter has learned. Play is left, and is each view's own.
+    """
+    told = [v.keyframe.T_body_head for v in items]
+    if head is None or all(T is None for T in told):
+        return None
+    T = np.array([np.eye(4) if t is None else t for t in told])
+    axes = np.zeros((len(T), 3, 2))
+    axes[:, 2, 0], axes[:, :, 1] = 1.0, -T[:, :3, 1]  # as HeadPose.by_angles
+    axes[[t is None for t in told]] = 0.0
+    shifts = -skew(T[:, :3, 3] - np.array(head.pivot_body)) @ axes
+    return HeadTerms(T[:, :3, :3], T[:, :3, 3], axes, shifts, SIGMA_PLAY_RAD)
 
 
 def _head_turns(items: list[View]) -> FloatArray:

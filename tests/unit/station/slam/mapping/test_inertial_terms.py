@@ -7,18 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shared.calibration import ImuNoise
-from shared.geometry import so3_exp
+from shared.calibration import HeadCalibration, ImuNoise
+from shared.geometry import FloatArray, so3_exp
+from station.motion.head import HeadPose
 from station.motion.preintegration import ImuSegment, preintegrate
-from station.slam.mapping.inertial_terms import InertialTerms, WheelTerms
+from station.slam.mapping.inertial_terms import HeadTerms, InertialTerms, WheelTerms
 from station.slam.mapping.odometry_bundle import BundleState
 
 NOISE = ImuNoise(gyro_density=1e-4, accel_density=1e-3, gyro_walk=1e-5, accel_walk=1e-4, rate_hz=200.0)
 STEP_S, VIEWS, DT_S = 0.4, 25, 0.005
 
 
-def stop_and_go() -> tuple[BundleState, InertialTerms]:
-    """A robot that goes back and forth along x without turning, and the terms of its readings."""
+def stop_and_go(pan: FloatArray | None = None) -> tuple[BundleState, InertialTerms]:
+    """A robot that goes back and forth along x without turning, and the terms of its readings.
+
+    `pan`: (VIEWS,) rad, of a head that looks about: the poses are the head's.
+    """
     t = np.arange(round(STEP_S * (VIEWS - 1) / DT_S)) * DT_S
     accel = np.stack([np.cos(2.0 * t), np.zeros_like(t), np.full_like(t, 9.81)], axis=1)
     v, x = np.zeros((VIEWS, 3)), np.zeros((VIEWS, 3))
@@ -35,8 +39,22 @@ def stop_and_go() -> tuple[BundleState, InertialTerms]:
     by_constants = np.zeros((VIEWS, 3, 1))
     by_constants[:, 0, 0] = v[:, 0]
     wheels = WheelTerms(by_constants, np.full((VIEWS, 3), 0.05), np.array([1.0]), np.array([0.02]))
-    terms = InertialTerms(links, NOISE, 9.81, np.zeros(6), wheels)
-    return BundleState(np.tile(np.eye(3), (VIEWS, 1, 1)), x, np.zeros((0, 3)), terms.start(v)), terms
+    head = None if pan is None else head_looking(pan)
+    terms = InertialTerms(links, NOISE, 9.81, np.zeros(6), wheels, head)
+    R = np.tile(np.eye(3), (VIEWS, 1, 1)) if head is None else head.R_body_head
+    x = x if head is None else x + head.t_body_head
+    return BundleState(R, x, np.zeros((0, 3)), terms.start(v)), terms
+
+
+def head_looking(pan: FloatArray) -> HeadTerms:
+    calibration = HeadCalibration(pivot_body=(0.05, 0.01, 0.1))
+    poses = [HeadPose(calibration, np.array([angle, 0.1]), np.zeros(2), np.zeros(2)) for angle in pan]
+    T = np.array([pose.T_body_head(np.zeros(2)) for pose in poses])
+    axes, shifts = map(np.array, zip(*(pose.by_angles(np.zeros(2)) for pose in poses), strict=True))
+    return HeadTerms(T[:, :3, :3], T[:, :3, 3], axes, shifts, 0.007)
+
+
+LOOKING_ABOUT = np.sin(np.arange(VIEWS))
 
 
 def moved(state: BundleState, dx: np.ndarray) -> BundleState:
@@ -49,9 +67,10 @@ def moved(state: BundleState, dx: np.ndarray) -> BundleState:
     )
 
 
+@pytest.mark.parametrize("pan", [None, LOOKING_ABOUT], ids=["ahead", "looking about"])
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_the_gradient_agrees_with_the_cost(seed: int) -> None:
-    state, terms = stop_and_go()
+def test_the_gradient_agrees_with_the_cost(seed: int, pan: FloatArray | None) -> None:
+    state, terms = stop_and_go(pan)
     rng = np.random.default_rng(seed)
     size = 6 * VIEWS + terms.size
     state = moved(state, 1e-3 * rng.standard_normal(size))
@@ -61,10 +80,12 @@ def test_the_gradient_agrees_with_the_cost(seed: int) -> None:
     assert 2 * g @ dx == pytest.approx(numeric, rel=1e-4)
 
 
-def test_a_path_of_another_scale_costs_more() -> None:
-    state, terms = stop_and_go()
+@pytest.mark.parametrize("pan", [None, LOOKING_ABOUT], ids=["ahead", "looking about"])
+def test_a_path_of_another_scale_costs_more(pan: FloatArray | None) -> None:
+    state, terms = stop_and_go(pan)
     assert terms.cost(state) < 1e-6
+    constant = 3 * VIEWS + 6 * 2  # after velocities and biases of two blocks
     for scale in (0.98, 1.02):
         larger = replace(state, p_world_body=scale * state.p_world_body, motion=state.motion * scale)
-        larger.motion[-1] = 1.0
+        larger.motion[constant] = 1.0
         assert terms.cost(larger) > 10.0
