@@ -57,6 +57,7 @@ class RoomReporter:
     """Rooms of beliefs over the active maps."""
 
     def __init__(self, maps: Sequence[MapView], config: BeliefConfig) -> None:
+        self._maps = maps
         self._views: list[RoomView | None] = [view.rooms for view in maps]
         sizes = [0 if view is None else len(view.area) for view in self._views]
         self._first = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
@@ -64,12 +65,18 @@ class RoomReporter:
         self._config = config
 
     def probabilities(self, belief: Belief, drawn: Sequence[Drawn]) -> RoomProbabilities:
-        """How probable each room is."""
+        """How probable each room is: as a place's, only where the map knows its way.
+
+        A plan goes on into a room that was looked into through a door it did not find.
+        """
         inside, tie = np.zeros((2, self._first[-1]))
         for h, p_map in drawn:
             view = self._views[h.map_index]
             if view is not None:
-                within, tied = view.shares(p_map)
+                known = self._maps[h.map_index].reach.knows(p_map)
+                if not known.any():
+                    continue
+                within, tied = known.mean() * np.array(view.shares(p_map[known]))
                 part = slice(self._first[h.map_index], self._first[h.map_index + 1])
                 inside[part] += h.weight * within
                 tie[part] += h.weight * tied

@@ -36,7 +36,7 @@ def test_the_room_is_the_one_that_the_robot_is_in() -> None:
 
 def test_the_room_is_known_where_two_of_its_parts_look_alike() -> None:
     estimator = estimator_of(flat())
-    estimator.on_candidates([seen(1.0, pose(0.0, 0.0)), seen(1.0, pose(2.0, 0.5))])
+    estimator.on_candidates([seen(1.0, pose(0.0, 0.0)), seen(1.0, pose(2.0, 0.3))])
     answer = estimator.answer(SECOND)
     assert answer.state == "lost" and answer.place is None
     assert answer.room is not None and answer.room.id == "room-l"
@@ -65,6 +65,17 @@ def test_beyond_a_door_that_nobody_went_through_there_is_no_room() -> None:
     estimator = estimator_of(flat())
     estimator.on_candidates([seen(1.0, pose(7.6, 0.0))])
     assert estimator.answer(SECOND).room is None
+
+
+def test_where_the_map_does_not_know_its_way_there_is_no_room_whatever_the_plan_says() -> None:
+    """A plan goes on into what was looked into through a door that it did not find."""
+    place_map = flat()
+    estimator = estimator_of(place_map)
+    estimator.on_candidates([seen(1.0, pose(5.0, 1.2))])
+    answer = estimator.answer(SECOND)
+    assert answer.state == "unknown" and answer.room is None
+    view = RoomView.of(place_map.plan)
+    assert view is not None and view.shares(np.array([[5.0, 1.2, 0.0]]))[0].max() == 1.0
 
 
 def test_before_any_image_no_room_is_known_not_even_the_only_one() -> None:
@@ -135,10 +146,10 @@ def test_a_map_without_a_plan_keeps_its_part_of_what_is_lost() -> None:
 def test_a_doorway_is_looked_for_where_the_room_is_and_not_in_another_map() -> None:
     """Two doors lead from one room to the other; what the belief's heaviest part means is a position elsewhere."""
     plan = two_rooms()
-    second = replace(plan.doors[0], id="door-far", ends=np.array([[3.0, 1.0], [3.0, 1.4]]))
+    second = replace(plan.doors[0], id="door-far", ends=np.array([[3.0, 0.25], [3.0, 0.35]]))
     maps = [replace(flat(), plan=replace(plan, doors=(plan.doors[0], second))), make_map("cellar")]
     views = [MapView.of(place_map) for place_map in maps]
-    parts = [(0, 0.124, 1.2)] * 7 + [(1, 0.132, 0.0)]
+    parts = [(0, 0.124, 0.3)] * 7 + [(1, 0.132, 0.0)]
     drawn = [(hypothesis(index, weight, y), np.array([[2.8, y, 0.0], [3.2, y, 0.0]])) for index, weight, y in parts]
     belief = Belief(tuple(h for h, _ in drawn), lost=0.0, unmapped=0.0)
     answer = RoomReporter(views, BeliefConfig()).answer(belief, drawn)
