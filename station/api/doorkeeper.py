@@ -24,6 +24,7 @@ from station.errors import NotAllowed, TooManyGuesses, WrongToken
 
 COOKIE = "__Host-sentinel-session"  # browsers keep such a name for HTTPS, for this host alone
 REVOKED = 4401  # close code
+LOGOUT = "/logout"
 MAX_SHOWN = 256
 Found = Visitor | WrongToken | TooManyGuesses
 
@@ -60,8 +61,9 @@ class Doorkeeper:
         except RobotSystemError as exc:
             await answer_to(asked, exc)(asked.scope, receive, _last(send))
             return
-        if isinstance(visitor, Visitor) and visitor.token_id:
-            await self._serve(visitor, asked.scope, receive, send)
+        # Who logs out ends what they came with: the answer goes out all the same.
+        if isinstance(visitor, Visitor) and visitor.token_id and asked.scope["path"] != LOGOUT:
+            await self._serve(visitor, asked, receive, send)
         else:
             await self._app(asked.scope, receive, send)
 
@@ -80,7 +82,7 @@ class Doorkeeper:
         except (WrongToken, TooManyGuesses) as exc:
             return exc
 
-    async def _serve(self, visitor: Visitor, scope: Scope, receive: Receive, send: Send) -> None:
+    async def _serve(self, visitor: Visitor, asked: HTTPConnection, receive: Receive, send: Send) -> None:
         """Serve it in a task of its own, which is ended when the token is revoked."""
         sent: list[str] = []
 
@@ -88,7 +90,7 @@ class Doorkeeper:
             await send(message)
             sent.append(message["type"])
 
-        serving = asyncio.ensure_future(self._app(scope, receive, noting))
+        serving = asyncio.ensure_future(self._app(asked.scope, receive, noting))
         revoked = asyncio.Event()
 
         def end() -> None:
@@ -105,7 +107,7 @@ class Doorkeeper:
                         await serving
                     raise
         if revoked.is_set():
-            await _say_goodbye(scope, sent, send)
+            await _say_goodbye(asked, sent, receive, send)
 
 
 def _check_visitor(asked: HTTPConnection, visitor: Found) -> None:
@@ -139,12 +141,16 @@ def _last(send: Send) -> Send:
     return ending
 
 
-async def _say_goodbye(scope: Scope, sent: list[str], send: Send) -> None:
+async def _say_goodbye(asked: HTTPConnection, sent: list[str], receive: Receive, send: Send) -> None:
+    why = "your token was revoked"
     with contextlib.suppress(Exception):  # the peer may be gone, or have got less than it was promised
-        if scope["type"] == "websocket" and "websocket.close" not in sent:
-            await send({"type": "websocket.close", "code": REVOKED, "reason": "your token was revoked"})
+        if asked.scope["type"] == "websocket":
+            if "websocket.close" not in sent:
+                await send({"type": "websocket.close", "code": REVOKED, "reason": why})
         elif "http.response.start" in sent:
             await send({"type": "http.response.body", "body": b"", "more_body": False})
+        else:
+            await answer_to(asked, WrongToken(why))(asked.scope, receive, _last(send))
 
 
 def shown_by(connection: HTTPConnection) -> tuple[Literal["bearer", "cookie"], str]:

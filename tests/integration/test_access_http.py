@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import json
 import logging
+import time
 from pathlib import Path
 
 import httpx
@@ -13,7 +14,7 @@ import pytest
 import websockets
 
 from shared.access import Role, Token
-from shared.token_book import TokenBook
+from shared.token_book import TokenBook, TokenRecord
 from station.api.doorkeeper import COOKIE, REVOKED
 from station.api.roles import ROLES
 from station.api.server import all_calls
@@ -121,6 +122,41 @@ async def test_a_login_gives_a_cookie_that_scripts_and_other_sites_cannot_use(tm
         assert is_problem(await http.get("/robot", headers={"Host": "evil.example"}), 403)
         assert (await http.post("/logout", headers=own)).status_code == 204
         assert is_problem(await http.get("/session"), 401)
+
+
+def looking_meanwhile(station: Guarded, monkeypatch: pytest.MonkeyPatch, *also: str) -> None:
+    """Revoking takes its time, and revoked tokens, these too, are looked for in the middle of it."""
+    door, loop = station.desk.station.access.door, asyncio.get_running_loop()
+    revoke = door.book.revoke
+
+    def slowly(name_or_id: str, now_s: float) -> list[TokenRecord]:
+        ended = revoke(name_or_id, now_s)
+        for name in also:
+            revoke(name, now_s)
+        loop.call_soon_threadsafe(door.look)
+        time.sleep(0.1)
+        return ended
+
+    monkeypatch.setattr(door.book, "revoke", slowly)
+
+
+async def test_who_logs_out_is_answered_also_while_revoked_tokens_are_looked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with guarded_station(tmp_path) as station:
+        looking_meanwhile(station, monkeypatch)
+        http, own = station.desk.http, {"Origin": station.origin}
+        await http.post("/login", json={"token": station.tokens[Role.WATCH]}, headers=own)
+        assert (await http.post("/logout", headers=own)).status_code == 204
+
+
+async def test_who_is_revoked_before_the_answer_begins_is_told_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with guarded_station(tmp_path) as station:
+        looking_meanwhile(station, monkeypatch, "adminer")
+        answer = await station.desk.http.delete("/access/tokens/watcher", headers=station.headers(Role.ADMIN))
+        assert is_problem(answer, 401) and "was revoked" in answer.text
 
 
 async def test_a_socket_by_cookie_needs_our_own_page(tmp_path: Path) -> None:
