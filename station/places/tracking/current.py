@@ -242,8 +242,9 @@ class CurrentPlaceEstimator:
         for z in localizations:
             if (z.map_id, z.keyframe_index) == (view.place_map.id, best.evidence_keyframe):
                 wider = view.looking(z)
-                self._maps = tuple(wider if i == best.map_index else m for i, m in enumerate(self._maps))
-                self._reporter.regroup(self._maps)
+                if wider is not view:
+                    self._maps = tuple(wider if m is view else m for m in self._maps)
+                    self._reporter.regroup(self._maps)
                 return
 
     def _freshness(self, T_nav_head: FloatArray) -> float:

@@ -60,7 +60,8 @@ class MapView:
     def looking(self, z: Localization) -> MapView:
         """The same map, which reaches farther by what a recognised image saw through."""
         p_seen = self.place_map.navigation.landmarks.p_world[z.landmarks]
-        return replace(self, reach=self.reach.looking(z.T_map_cam[:3, 3], p_seen))
+        reach = self.reach.looking(z.T_map_cam[:3, 3], p_seen)
+        return self if reach is self.reach else replace(self, reach=reach)
 
     def nearest(self, p_map: FloatArray, tie: float) -> tuple[FloatArray, FloatArray]:
         """Shares of points (n, 3) that each place is the nearest one to, and near within `tie` times that; (P,), (P,).
