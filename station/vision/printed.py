@@ -13,6 +13,7 @@ from shared.geometry import FloatArray
 from shared.text import MAX_EXPLANATION, printable
 from station.model.frames import ImageArray
 
+LEAST_SIDE_PX = 480  # smaller pictures are enlarged: above a camera's own size that costs twice as much, and reads no more
 MIN_SCORE = 0.9  # the best false glyph of nearby plates was at 0.71; of small print a fifth is misread at this
 
 
@@ -54,6 +55,7 @@ class PrintReader:
                 params={
                     "Global.log_level": "critical",  # it warns of every picture without text
                     "Global.use_cls": False,  # no text hangs upside down
+                    "Det.limit_side_len": LEAST_SIDE_PX,
                     "EngineConfig.onnxruntime.intra_op_num_threads": 1,  # jobs have one core
                     "EngineConfig.onnxruntime.inter_op_num_threads": 1,
                 }
