@@ -12,7 +12,7 @@ class BeliefConfig:
     """Probabilities are per independent view, distances in metres."""
 
     fitted: FittedOdds = field(default_factory=read_fitted)
-    known_from: float = 0.85  # probability of the answer being right, ties within 10 % of distance included
+    known_from: float = 0.80  # probability of the answer being right, ties within 10 % of distance included
     unknown_from: float = 0.5
     prior_unmapped: float = 0.4  # of a robot that was just put down somewhere
     other_room_per_m: float = 0.25  # rooms are some 4 m wide

@@ -19,6 +19,7 @@ import numpy as np
 from shared.calibration import Calibration
 from shared.geometry import FloatArray, inverse, so3_log
 from station.model.best_camera import best_camera, is_of_robot
+from station.model.navigation import Landmarks
 from station.model.place_answer import Localization
 from station.motion.head import AHEAD, Aim
 from station.places.making.scale import USUAL_VIEWING_M
@@ -144,13 +145,14 @@ class ImageEvidence:
         """A verified pose of an image, as the filter takes it."""
         index = self._index[z.map_id]
         unit = self._maps[index].unit
-        sigma_m = float(np.hypot(z.sigma_position / unit, self.config.pose_floor_m))
+        swung, swing_rad = swing(z, self._maps[index].place_map.navigation.landmarks)
+        sigma_m = float(np.linalg.norm([z.sigma_position / unit, self.config.pose_floor_m, swung / unit]))
         camera = self._cameras[index]
         T_cam_body = np.eye(4) if camera is None else camera.T_cam_body_matrix
         T_head_body = inverse(aim.T_body_head)
         T_head_body[:3, 3] *= unit
         T_map_body = z.T_map_cam @ T_cam_body @ T_head_body
-        sigma_rad = float(np.hypot(self.config.pose_floor_rad, aim.sigma_rad))
+        sigma_rad = float(np.linalg.norm([self.config.pose_floor_rad, aim.sigma_rad, swing_rad]))
         return PoseMeasurement(z, index, unit, T_map_body, sigma_m, sigma_rad)
 
     def figures(self, m: PoseMeasurement) -> MatchFigures:
@@ -279,6 +281,20 @@ class ImageEvidence:
         if camera is None or is_uncertain or not sightings.is_enough:
             return None
         return sightings.in_view(h.pose(T_nav_head) @ camera.T_body_cam_matrix, camera)
+
+
+def swing(z: Localization, landmarks: Landmarks) -> tuple[float, float]:
+    """How far a camera may be off around what it recognised, and by what angle: map units and rad, one sigma each.
+
+    Landmarks of one thing were seen from the same places and err alike, so that however many there are, the thing may
+    be tilted by one's error over its extent; and the camera is found turned about it by as much.
+    """
+    if not len(z.landmarks):
+        return 0.0, 0.0
+    variance = np.trace(landmarks.cov_world[z.landmarks], axis1=1, axis2=2) / 3.0
+    far = np.linalg.norm(landmarks.p_world[z.landmarks] - z.T_map_cam[:3, 3], axis=1)
+    angle = float(np.sqrt(np.median(variance))) / max(z.extent, 1e-9)
+    return float(np.median(far)) * angle, angle
 
 
 def _expected_by(fits: list[list[Agreement]], candidate: int) -> int | None:
