@@ -12,6 +12,7 @@ from pathlib import Path
 from shared.bounded import MAX_FILE_BYTES, MAX_JSON_BYTES, MB, Refused, in_pieces, open_file
 from shared.disk import PRIVATE, make_folder, replacing
 from shared.errors import DataError
+from shared.text import printable
 from station.maps import versions
 from station.maps.address import ADDRESS, address_of, heal, is_whole
 from station.maps.blobs import Damaged, blob_name
@@ -20,9 +21,11 @@ from station.maps.record import MapRecord, decode_record
 from station.maps.record_files import RecordFile, parse_record_name
 from station.maps.store import MapStore
 
+MAX_SHOWN = 80  # characters of a name that somebody else gave
 MAX_PIECE_BYTES = MB  # no header of ours has more
 # What tarfile raises for one that is none: it trusts what it finds in headers, and follows them one in another.
 _NO_ARCHIVE = (tarfile.TarError, EOFError, ValueError, OverflowError, RecursionError)
+README_NAME = "README.txt"
 README = b"Maps of a Sentinel station: `station map restore FILE` brings them back. File names end in sha256-crc32.\n"
 
 
@@ -50,7 +53,7 @@ def write_backup(store: MapStore, path: Path) -> BackupReport:
     try:
         make_folder(path.parent)
         with replacing(path, mode=PRIVATE) as file, tarfile.open(fileobj=file, mode="w|") as archive:
-            _add(archive, "README.txt", README)
+            _add(archive, README_NAME, README)
             written: set[str] = set()
             for record, data in records:  # first: a file that is cut later still says what there was
                 _add(archive, row_of(record, data).file.name, data)
@@ -82,6 +85,9 @@ def restore_backup(store: MapStore, path: Path) -> BackupReport:
         found.damaged.append(f"{path} ends early ({exc}); what came before was restored")
     except OSError as exc:
         raise DataError(f"{path} cannot be read ({exc.strerror}); give a file written by `station map backup`") from exc
+    if found.strangers:
+        first = printable(found.first_stranger)[:MAX_SHOWN]
+        found.damaged.append(f"{path} holds what no backup does: {first}, {found.strangers} in all; it is left out")
     count = 0
     for map_id, by_number in found.records.items():
         pairs = [by_number[number] for number in sorted(by_number)]
@@ -103,14 +109,18 @@ class _Found:
         self.records: dict[str, dict[int, tuple[MapRecord, bytes]]] = {}  # of a map, by the version's number
         self.addresses: set[str] = set()  # of the files
         self.damaged: list[str] = []
+        self.strangers, self.first_stranger = 0, ""  # entries that no backup has
         self._store = store
         self._path = path
 
     def add(self, archive: tarfile.TarFile, member: tarfile.TarInfo) -> None:
-        """A record or a blob; what is something else is passed over. Raises what an unreadable archive does."""
+        """A record or a blob; what is something else is counted. Raises what an unreadable archive does."""
         file = parse_record_name(member.name)
         address = file.address if file else member.name.rpartition("/")[2]
         if not member.isfile() or not ADDRESS.fullmatch(address):
+            if member.name != README_NAME:
+                self.strangers += 1
+                self.first_stranger = self.first_stranger or member.name
             return
         try:
             data = self._whole(_read(archive, member, MAX_JSON_BYTES if file else MAX_FILE_BYTES), member.name, address)

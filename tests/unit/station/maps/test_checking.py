@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sqlite3
+import tarfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -151,6 +152,19 @@ def test_a_backup_brings_everything_back(place_map: PlaceMap, store: MapStore, t
     assert restore_backup(other, tmp_path / "b.tar").versions == 0  # its history has it: undo brings it back
     other.undo(place_map.id, to=1)
     assert content_hash(other, place_map.id) == map_content_hash(place_map)
+
+
+def test_what_is_no_part_of_a_backup_is_told_and_left_out(store: MapStore, tmp_path: Path) -> None:
+    write_backup(store, tmp_path / "b.tar")
+    with tarfile.open(tmp_path / "b.tar", "a") as archive:
+        for kind, name in ((tarfile.SYMTYPE, "maps/\x1b[31mlink"), (tarfile.REGTYPE, "notes.txt")):
+            member = tarfile.TarInfo(name)
+            member.type, member.linkname = kind, "/etc/passwd"
+            archive.addfile(member)
+    report = restore_backup(MapStore(tmp_path / "other"), tmp_path / "b.tar")
+    [sentence] = report.damaged
+    assert report.versions == 3
+    assert "2 in all" in sentence and "link" in sentence and "\x1b" not in sentence
 
 
 def test_a_damaged_backup_gives_what_is_whole(place_map: PlaceMap, store: MapStore, tmp_path: Path) -> None:
