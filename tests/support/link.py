@@ -29,7 +29,7 @@ from shared.messages import (
 )
 from station.robots.link import RobotLink
 
-WAIT_S = 20.0  # for a condition; only a failing test waits so long
+WAIT_S = 90.0  # for a condition; only a failing test, or one on a crowded machine, waits so long
 
 
 async def until(condition: Callable[[], object]) -> None:

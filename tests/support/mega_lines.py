@@ -21,7 +21,7 @@ from robot.devices.pi.serial_line import PySerialLine
 from shared import serial_protocol as sp
 from shared.errors import DeviceLost, DeviceUnavailable
 
-WAIT_S = 20.0
+WAIT_S = 90.0
 UNHEARD = -1
 UNTIL_NS = 250_000_000
 UNKNOWN_TYPE = 3

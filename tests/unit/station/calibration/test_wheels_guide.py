@@ -8,7 +8,8 @@ import pytest
 from shared.calibration import REFERENCE_CAMERA
 from station.calibration.guidance import Guidance
 from station.calibration.target import BoardView
-from station.calibration.wheels_guide import BACK, FORTH, LEFT, RIGHT, WISHES, WheelsGuide
+from station.calibration.wheels import GYRO_SIGMA, MAX_SIGMA, fit_factor
+from station.calibration.wheels_guide import BACK, FORTH, LEFT, RIGHT, WANTED, WISHES, WheelsGuide
 from station.model.frames import DriveSample
 
 STEP_NS = 50_000_000
@@ -39,10 +40,10 @@ class Driver:
         return BoardView(f"{self.t_ns}.jpg", self.t_ns, np.arange(144), np.zeros((144, 2)))
 
 
-def test_who_does_what_is_said_has_enough_after_eight_moves() -> None:
+def test_who_does_what_is_said_has_enough_after_twelve_moves() -> None:
     driver = Driver()
     said = driver.go_on(2.0, 0.0, 0.0, sees=True)
-    for number in range(8):
+    for number in range(12):
         assert not said.may_finish
         name = next(name for name, words in WISHES.items() if words == said.instruction)
         said = driver.move(name)
@@ -71,3 +72,12 @@ def test_whoever_drives_is_told_to_let_go_and_to_wait() -> None:
     driver.go_on(2.0, 0.0, 0.0, sees=True)
     assert "let go" in driver.go_on(0.5, 0.2, 0.0, sees=True).instruction
     assert "stands still" in driver.go_on(0.3, 0.0, 0.0, sees=True).instruction
+
+
+def test_as_many_moves_as_are_wanted_bear_a_scatter_of_a_fortieth() -> None:
+    scatter, sort = 0.025, 2 * WANTED  # forth and back, or left and right
+    spread = scatter * np.sqrt((sort - 1) / sort) * np.tile([1.0, -1.0], WANTED)
+    factor = fit_factor([(1.0, float(0.4 * (1.0 + part))) for part in spread], GYRO_SIGMA)
+    assert factor is not None
+    assert factor.scatter == pytest.approx(scatter, rel=1e-6)
+    assert factor.sigma / factor.value < MAX_SIGMA
