@@ -7,7 +7,7 @@ Source: Forster et al., IEEE T-RO 33(1), 2017; thesis eq. 2.11.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -105,7 +105,9 @@ def _covariance(
 
 
 def chain(a: Preintegration, b: Preintegration) -> Preintegration:
-    """Two consecutive measurements as one; both must have been integrated with about the same bias."""
+    """Two consecutive measurements as one, at the bias of the first."""
+    dR, dv, dp = b.at(a.bias)
+    b = replace(b, dR=dR, dv=dv, dp=dp, bias=a.bias)
     T = b.duration_s
     turned_v, turned_p = a.dR @ skew(b.dv), a.dR @ skew(b.dp)
     dv_by_bias = a.dv_by_bias + a.dR @ b.dv_by_bias

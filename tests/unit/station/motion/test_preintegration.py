@@ -58,6 +58,17 @@ def test_covariance_is_what_the_noise_of_each_reading_does() -> None:
     assert np.allclose(mean.covariance / np.outer(sigma, sigma), P / np.outer(sigma, sigma), atol=0.02)
 
 
+def test_halves_that_were_integrated_at_other_biases_chain_to_the_whole_at_the_first_ones() -> None:
+    later = BIAS + np.array([2e-4, -1e-4, 3e-4, 0.4, -0.3, 0.2])  # a filter learns an accelerometer's bias as it goes
+    whole = preintegrate(segment(40), BIAS, NOISE)
+    chained = chain(preintegrate(segment(25), BIAS, NOISE), preintegrate(segment(15, 25), later, NOISE))
+    assert np.array_equal(chained.bias, BIAS)
+    assert np.allclose(difference(whole, chained), 0.0, atol=2e-6)
+    moved = whole.bias + np.array([0.0, 0.0, 0.0, -0.2, 0.1, 0.3])
+    for expected, found in zip(whole.at(moved), chained.at(moved), strict=True):
+        assert np.allclose(expected, found, atol=5e-6)
+
+
 def test_two_halves_chain_to_the_whole() -> None:
     whole = preintegrate(segment(40), BIAS, NOISE)
     chained = chain(preintegrate(segment(25), BIAS, NOISE), preintegrate(segment(15, 25), BIAS, NOISE))
