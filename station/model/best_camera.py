@@ -18,9 +18,11 @@ from station.model.calibration_fit import CalibrationFit, why_doubtful, why_misf
 from station.model.navigation import Navigation, NavigationReport
 
 # How good a calibration at home is, one standard deviation: a chessboard that is printed and held by hand gives the
-# focal length to about a per cent, and a camera is mounted by eye.
+# focal length to about a per cent, a camera is mounted by eye, and its delay is a few milliseconds.
 TOLD_FOCAL_SIGMA = 0.01
 TOLD_MOUNTING_SIGMA_DEG = 1.0
+TOLD_POSITION_SIGMA_M = 0.01
+TOLD_TIME_SIGMA_S = 0.005
 CONTRADICTED = 9.49  # chi-squared, 95 % of four degrees of freedom: focal length and mounting
 
 
@@ -30,12 +32,14 @@ class KnownCamera:
 
     camera: CameraCalibration
     focal_sigma: float  # relative, one standard deviation
+    late_s: float = 0.0  # how much later than its time shift tells its images are taken
 
 
 def corrected(told: CameraCalibration, fit: CalibrationFit | None) -> KnownCamera:
     """The camera after the fit; as told without one.
 
-    Its time shift stays: the filter's poses, which a map starts from, have the told one in their times.
+    Its time shift stays, what the fit says of it stands beside: the filter's poses, which a map starts from, have the
+    told one in their times.
     """
     if fit is None:
         return KnownCamera(told, TOLD_FOCAL_SIGMA)
@@ -47,7 +51,8 @@ def corrected(told: CameraCalibration, fit: CalibrationFit | None) -> KnownCamer
     camera = msgspec.structs.replace(
         told, fx=longer * told.fx, fy=longer * told.fy, T_body_cam=tuple(T.ravel().tolist())
     )
-    return KnownCamera(camera, TOLD_FOCAL_SIGMA * math.sqrt(1.0 - gain))
+    late_s = fit.time_shift_s / (1.0 + (fit.time_shift_sigma_s / TOLD_TIME_SIGMA_S) ** 2)
+    return KnownCamera(camera, TOLD_FOCAL_SIGMA * math.sqrt(1.0 - gain), late_s)
 
 
 def unless_it_fits(told: CameraCalibration, fit: CalibrationFit | None) -> CameraCalibration:

@@ -102,6 +102,10 @@ class InertialTerms:
         self._angles = slice(self._constants.stop, self._constants.stop + (0 if head is None else 2 * n))
         self.size = self._angles.stop
 
+    @property
+    def has_head(self) -> bool:
+        return self._head is not None
+
     def _times(self) -> FloatArray:
         return np.concatenate([[0.0], np.cumsum(self._links.duration_s)])
 

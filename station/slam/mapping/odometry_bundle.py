@@ -10,6 +10,7 @@ complement); Levenberg-Marquardt after Madsen, Nielsen and Tingleff, Methods for
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -85,7 +86,7 @@ def adjust(
     order = np.argsort(seen.point, kind="stable")
     cost = _cost(state, seen, motion, cauchy_px)
     for _ in range(max_iterations):
-        linear = _linearise(state, seen, motion, cauchy_px, order)
+        linear = _linearise(state, seen, motion, _whitened(state, seen, cauchy_px), order)
         improved = False
         for _ in range(4):
             candidate = _step(state, linear, damping)
@@ -120,6 +121,12 @@ def landmark_covariances(state: BundleState, seen: Observations, sigma_px: float
     return sigma_px**2 * np.asarray(np.linalg.inv(V + 1e-6 * np.eye(3)))
 
 
+def in_camera(state: BundleState, seen: Observations) -> tuple[FloatArray, FloatArray]:
+    """Points (K, 3) m as each observation's camera has them, and how their pixels change with that (K, 2, 3) px/m."""
+    _, depth, (_, p_cam) = _project(state, seen)
+    return p_cam, _projection_jacobian(p_cam, depth, seen.focal_px)
+
+
 def _projection_jacobian(p_cam: FloatArray, depth: FloatArray, focal_px: float) -> FloatArray:
     """(K, 2, 3) px/m of pixels by camera coordinates."""
     z = np.where(np.abs(depth) < 0.02, 0.02, depth)
@@ -145,10 +152,17 @@ def _cost(state: BundleState, seen: Observations, motion: MotionTerms, cauchy_px
     return visual + motion.cost(state)
 
 
-def _linearise(
-    state: BundleState, seen: Observations, motion: MotionTerms, cauchy_px: float, by_point: IntArray
-) -> _Linear:
-    n, m = len(state.R_world_body), len(state.points)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Whitened:
+    """Residuals of all observations and their derivatives, weighted by the robust loss."""
+
+    weight: FloatArray  # (K,)
+    residual: FloatArray  # (K, 2) px
+    J_pose: FloatArray  # (K, 2, 6)
+    J_point: FloatArray  # (K, 2, 3)
+
+
+def _whitened(state: BundleState, seen: Observations, cauchy_px: float) -> _Whitened:
     residual, depth, (p_body, p_cam) = _project(state, seen)
     J_proj = _projection_jacobian(p_cam, depth, seen.focal_px)
     J_body = J_proj @ seen.T_cam_body[:3, :3]
@@ -157,9 +171,16 @@ def _linearise(
     J_pose = np.concatenate([J_body @ skew(p_body), -J_point], axis=2)
     weight = np.sqrt(1.0 / (1.0 + (residual**2).sum(axis=1) / cauchy_px**2))
     weight[depth <= 0.02] = 0.0
-    r = residual * weight[:, None]
     J_pose *= weight[:, None, None]
     J_point *= weight[:, None, None]
+    return _Whitened(weight, residual * weight[:, None], J_pose, J_point)
+
+
+def _linearise(
+    state: BundleState, seen: Observations, motion: MotionTerms, whitened: _Whitened, by_point: IntArray
+) -> _Linear:
+    n, m = len(state.R_world_body), len(state.points)
+    J_pose, J_point, r = whitened.J_pose, whitened.J_point, whitened.residual
     J_pose_t, J_point_t = np.swapaxes(J_pose, 1, 2), np.swapaxes(J_point, 1, 2)
     counts = np.bincount(seen.keyframe, minlength=n)
     W = bsr_matrix(
@@ -188,9 +209,23 @@ def _sum_by(index: IntArray, values: FloatArray, size: int) -> FloatArray:
     return out
 
 
-def _step(state: BundleState, linear: _Linear, damping: float) -> BundleState:
-    """One damped Gauss-Newton step; landmarks are eliminated first (Schur complement)."""
-    n = len(state.R_world_body)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reduced:
+    """The damped problem without its landmarks (Schur complement): poses and the motion's unknowns."""
+
+    V_inv: FloatArray  # (M, 3, 3)
+    WV: bsr_matrix  # (6N, 3M) W V^-1
+    solve: Callable[[FloatArray], FloatArray]  # of right sides (6N + e,) or (6N + e, c)
+
+    def without_points(self, of_poses: FloatArray, of_points: FloatArray) -> FloatArray:
+        """Right sides (6N + e, ...) of poses and motion less what the points (3M, ...) explain."""
+        out = of_poses.copy()
+        out[: self.WV.shape[0]] -= self.WV @ of_points
+        return out
+
+
+def _reduce(linear: _Linear, damping: float) -> _Reduced:
+    n = len(linear.U)
     V = linear.V + np.eye(3) * (damping * np.trace(linear.V, axis1=1, axis2=2)[:, None, None] + 1e-9)
     V_inv = np.linalg.inv(V)
     W = linear.W
@@ -199,23 +234,28 @@ def _step(state: BundleState, linear: _Linear, damping: float) -> BundleState:
     H = linear.H_motion
     diagonal = np.zeros(H.shape[0])
     diagonal[: 6 * n] = np.einsum("nii->ni", linear.U).ravel()
-    rhs = -linear.g_motion.copy()
-    rhs[: 6 * n] -= linear.g_pose.ravel() - (WV @ linear.g_point.ravel())
     damp = damping * (diagonal + H.diagonal()) + 1e-12
     U = bsr_matrix((linear.U, np.arange(n), np.arange(n + 1)), shape=(6 * n, 6 * n))
     if H.shape[0] <= MAX_DENSE:
         S = H.toarray()
         S[: 6 * n, : 6 * n] += U.toarray() - reduced.toarray()
         S[np.diag_indices_from(S)] += damp
-        x = cho_solve(cho_factor(S, check_finite=False), rhs)
-    else:
-        visual = (U - reduced).tocoo()
-        S_sparse = H + csc_matrix((visual.data, (visual.row, visual.col)), shape=H.shape)
-        S_sparse.setdiag(S_sparse.diagonal() + damp)
-        x = splu(S_sparse.tocsc()).solve(rhs)
+        factor = cho_factor(S, check_finite=False)
+        return _Reduced(V_inv, WV, lambda rhs: np.asarray(cho_solve(factor, rhs, check_finite=False)))
+    visual = (U - reduced).tocoo()
+    S_sparse = H + csc_matrix((visual.data, (visual.row, visual.col)), shape=H.shape)
+    S_sparse.setdiag(S_sparse.diagonal() + damp)
+    return _Reduced(V_inv, WV, splu(S_sparse.tocsc()).solve)
+
+
+def _step(state: BundleState, linear: _Linear, damping: float) -> BundleState:
+    """One damped Gauss-Newton step; landmarks are eliminated first (Schur complement)."""
+    n = len(state.R_world_body)
+    reduced = _reduce(linear, damping)
+    x = reduced.solve(-reduced.without_points(_gradient(linear), linear.g_point.ravel()))
     pose = x[: 6 * n].reshape(n, 6)
-    back = linear.g_point.ravel() + W.T @ x[: 6 * n]
-    points = state.points - (V_inv @ back.reshape(-1, 3, 1))[:, :, 0]
+    back = linear.g_point.ravel() + linear.W.T @ x[: 6 * n]
+    points = state.points - (reduced.V_inv @ back.reshape(-1, 3, 1))[:, :, 0]
     return replace(
         state,
         R_world_body=state.R_world_body @ so3_exp(pose[:, :3]),
@@ -223,3 +263,40 @@ def _step(state: BundleState, linear: _Linear, damping: float) -> BundleState:
         points=points,
         motion=state.motion + x[6 * n :],
     )
+
+
+def _gradient(linear: _Linear) -> FloatArray:
+    """(6N + e,) of poses and the motion's unknowns."""
+    g = linear.g_motion.copy()
+    g[: linear.g_pose.size] += linear.g_pose.ravel()
+    return g
+
+
+def information_on(
+    state: BundleState, seen: Observations, motion: MotionTerms, cauchy_px: float, J: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """What a solved problem says of further unknowns that all observations share, whatever poses and points become.
+
+    Args:
+        J: (K, 2, c) px, how the residuals change with them.
+    Returns:
+        Information (c, c) and score (c,): their step is the information's inverse times the score. In units of a pixel.
+    """
+    n, m, c = len(state.R_world_body), len(state.points), J.shape[2]
+    by_point = np.argsort(seen.point, kind="stable")
+    whitened = _whitened(state, seen, cauchy_px)
+    linear = _linearise(state, seen, motion, whitened, by_point)
+    J = J * whitened.weight[:, None, None]
+    J_t = np.swapaxes(J, 1, 2)
+    by_poses = np.zeros((len(linear.g_motion), c))
+    by_poses[: 6 * n] = _sum_by(seen.keyframe, np.swapaxes(whitened.J_pose, 1, 2) @ J, n).reshape(6 * n, c)
+    by_points = _sum_by(seen.point[by_point], (np.swapaxes(whitened.J_point, 1, 2) @ J)[by_point], m)
+    reduced = _reduce(linear, 0.0)
+    B = reduced.without_points(by_poses, by_points.reshape(3 * m, c))
+    g = reduced.without_points(_gradient(linear), linear.g_point.ravel())
+    explained = reduced.V_inv @ by_points
+    matrix = (J_t @ J).sum(axis=0) - np.einsum("mia,mib->ab", by_points, explained)
+    score = np.einsum("kai,ki->a", J_t, whitened.residual) - np.einsum("mi,mia->a", linear.g_point, explained)
+    solved = reduced.solve(np.column_stack([B, g]))
+    matrix -= B.T @ solved[:, :c]
+    return 0.5 * (matrix + matrix.T), -(score - B.T @ solved[:, c])

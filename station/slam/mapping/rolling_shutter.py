@@ -18,6 +18,7 @@ class RowMotion:
 
     delay_s: FloatArray  # (n,) from the image's time to the row of each feature
     v_cam: FloatArray  # (3,) m/s, of the camera in its own frame
+    omega_cam: FloatArray  # (3,) rad/s, likewise
 
 
 def observation_pose(

@@ -10,12 +10,13 @@ import numpy as np
 
 from shared.calibration import Calibration
 from shared.geometry import se3
-from station.model.best_camera import corrected, misfit_of
+from station.model.best_camera import KnownCamera, corrected, misfit_of
 from station.model.calibration_fit import CalibrationFit
 from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 from station.motion.imu_buffer import ImuCounts
 from station.slam.mapping import report as mapping_report
 from station.slam.mapping.assemble import make_keyframes
+from station.slam.mapping.camera_fit import CameraFit
 from station.slam.mapping.intake import FrameIntake
 from station.slam.ukf.config import UkfConfig
 from station.slam.ukf.filter.constraints import WheelsKnown
@@ -49,7 +50,7 @@ def make_navigation(
         report,
         landmarks=len(made.landmarks),
         config=report.config | made.facts,
-        calibration_fit=fit,
+        calibration_fit=made.fit or fit,
         told_camera=None if made.calibration == calibration else calibration.camera,
     )
     report = replace(report, messages=tuple(filter(None, (*report.messages, *made.messages, misfit_of(report)))))
@@ -64,6 +65,7 @@ class _Made:
     calibration: Calibration  # that it was made with
     keyframes: Keyframes
     landmarks: Landmarks
+    fit: CalibrationFit | None  # what the map says of the told camera
     facts: dict[str, Any]  # for navigation.json
     messages: list[str]
 
@@ -83,12 +85,13 @@ def _from_views(
     if memory.views is None:
         return None
     assert calibration.camera is not None and calibration.imu is not None
-    better = corrected(calibration.camera, fit).camera if known is None else known.camera
+    told = calibration.camera
+    start = corrected(told, fit) if known is None else KnownCamera(known.camera, 0.0)
     made = map_views(
         memory.views,
         memory.poses,
-        CameraModel.of(better, camera.sigma_px),
-        better,
+        CameraFit.started(told, start),
+        camera.sigma_px,
         calibration.imu,
         calibration.gravity,
         WheelsKnown.before_the_drive(config.wheels) if calibration.has_wheels else None,
@@ -99,8 +102,8 @@ def _from_views(
     if made is None:
         return None
     facts = {"mapped_from": "views", "loops": made.num_loops, "median_error_px": made.median_error_px}
-    calibration = msgspec.structs.replace(calibration, camera=better)
-    return _Made(calibration, made.keyframes, made.landmarks, facts, [])
+    calibration = msgspec.structs.replace(calibration, camera=made.camera.camera)
+    return _Made(calibration, made.keyframes, made.landmarks, made.camera.judged(), facts, [])
 
 
 def _from_tracks(memory: NavigationMemory, camera: CameraModel, calibration: Calibration, config: UkfConfig) -> _Made:
@@ -118,7 +121,7 @@ def _from_tracks(memory: NavigationMemory, camera: CameraModel, calibration: Cal
         landmarks = assemble(*memory.live.as_entered(), TrackObservations.of(items))
     else:
         landmarks = make_landmarks(items, camera, config.quality)
-    return _Made(calibration, keyframes, landmarks, {"mapped_from": "tracks"}, messages)
+    return _Made(calibration, keyframes, landmarks, None, {"mapped_from": "tracks"}, messages)
 
 
 def _refine(memory: NavigationMemory, camera: CameraModel, calibration: Calibration) -> list[str]:

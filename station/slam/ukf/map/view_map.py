@@ -17,7 +17,8 @@ from shared.geometry import FloatArray, inverse, se3, skew, so3_log, upright
 from station.model.navigation import Keyframes, Landmarks, join_maps
 from station.motion.head import SIGMA_PLAY_RAD
 from station.slam.mapping.assemble import Reconstructed
-from station.slam.mapping.inertial_mapping import lay_on_imu
+from station.slam.mapping.camera_fit import CameraFit
+from station.slam.mapping.inertial_mapping import SeenBy, lay_on_imu
 from station.slam.mapping.inertial_terms import HeadTerms, InertialTerms, WheelTerms
 from station.slam.mapping.odometry import Drift, RelativeMotions
 from station.slam.mapping.odometry_mapping import (
@@ -68,6 +69,7 @@ class ViewMap:
 
     keyframes: Keyframes
     landmarks: Landmarks
+    camera: CameraFit  # that they were made with
     num_loops: int
     median_error_px: float
 
@@ -75,8 +77,8 @@ class ViewMap:
 def map_views(
     views: MapViews,
     poses: PoseLog,
-    camera: CameraModel,
-    calibration: CameraCalibration,
+    camera: CameraFit,
+    sigma_px: float,
     noise: ImuNoise,
     gravity: float,
     wheels: WheelsKnown | None,
@@ -87,6 +89,7 @@ def map_views(
     """Map every segment and move its poses along. `wheels`: what is known of them before the drive.
 
     Args:
+        camera: as it is known before; the longest segment says what it is, and the others are mapped with that.
         head: that carries the camera, where there is one.
         better: whose equations hold the IMU, so that they are asked in place of the filter's motions.
 
@@ -94,19 +97,20 @@ def map_views(
     tell the fields of a chessboard apart, tracks can. Before plain walls both have few, and those of views are
     recognised again.
     """
-    parts: list[tuple[Reconstructed, list[View], FloatArray]] = []
+    parts: dict[int, tuple[Reconstructed, list[View], FloatArray]] = {}
     loops, errors = 0, []
     described, matches = views.describe_all()
-    for number in sorted({v.segment for v in described}):
-        at = [i for i, v in enumerate(described) if v.segment == number]
+    segments = [v.segment for v in described]
+    for number in sorted(set(segments), key=lambda number: (-segments.count(number), number)):
+        at = [i for i, other in enumerate(segments) if other == number]
         if len(at) < MIN_VIEWS:
             continue
         items = [described[i] for i in at]
         pairs = [(a - at[0], b - at[0], p) for a, b, p in matches if a >= at[0] and b <= at[-1]]
         motions = relative_motions(items, noise)
         features = [v.features for v in items]
-        rays = [straight_rays(v, camera) for v in items]
-        rows = [row_motion(v, camera) for v in items] if camera.line_delay_s else None
+        seen_by = _seen_by(items, sigma_px)
+        rays, rows = seen_by(camera.camera, camera.late_s)
         adjuster, scales = by_motions(motions), DEAD_RECKONED_SCALES
         is_smoothed = better is not None and number in better.adjuster_of
         if better is not None and is_smoothed:
@@ -114,7 +118,7 @@ def map_views(
                 better.adjuster_of[number]([v.frame_index for v in items], motions.T_world_body),
                 SMOOTHED_SCALES,
             )
-        made = map_with_motions(features, rays, pairs, motions, calibration, views.mapping, adjuster, rows, scales)
+        made = map_with_motions(features, rays, pairs, motions, camera.camera, views.mapping, adjuster, rows, scales)
         if made.tracks.num_points == 0:
             continue
         terms = None if is_smoothed else inertial_terms(items, noise, gravity, wheels, head)
@@ -122,21 +126,32 @@ def map_views(
             terms = None  # too many views hang on the filter's motions, which had tracks of what no view finds again
         if terms is not None:
             v_world = np.array([v.keyframe.v_world for v in items])
-            made = lay_on_imu(made, motions.T_world_body, v_world, terms, calibration)
-        part = read_odometry_map(made, [v.keyframe.image for v in items], features, calibration, views.mapping)
+            # One camera has made all segments; and a head's angles would take the mounting's place.
+            is_fixed = bool(parts) or terms.has_head
+            made, camera = lay_on_imu(made, motions.T_world_body, v_world, terms, camera, None if is_fixed else seen_by)
+        part = read_odometry_map(made, [v.keyframe.image for v in items], features, camera.camera, views.mapping)
         if terms is None and not is_smoothed:
-            part = level(part, motions.T_world_body, calibration)
-        parts.append((part, items, motions.T_world_body))
+            part = level(part, motions.T_world_body, camera.camera)
+        parts[number] = (part, items, motions.T_world_body)
         loops += made.num_loops
         errors.append(made.median_error_px)
-    num_views = sum(len(items) for _, items, _ in parts)
-    num_landmarks = sum(len(part.landmarks) for part, _, _ in parts)
+    in_order = [parts[number] for number in sorted(parts)]
+    num_views = sum(len(items) for _, items, _ in in_order)
+    num_landmarks = sum(len(part.landmarks) for part, _, _ in in_order)
     if num_landmarks == 0 or (num_landmarks < MIN_LANDMARKS_PER_VIEW * num_views and num_landmarks < count_tracks()):
         return None
-    for part, items, T_filter in parts:
-        T_new = part.keyframes.T_world_cam @ calibration.T_cam_body_matrix
+    for part, items, T_filter in in_order:
+        T_new = part.keyframes.T_world_cam @ camera.camera.T_cam_body_matrix
         poses.follow([v.frame_index for v in items], T_filter, T_new, items[0].segment)
-    return ViewMap(*_join(parts), loops, float(np.mean(errors)))
+    return ViewMap(*_join(in_order), camera, loops, float(np.mean(errors)))
+
+
+def _seen_by(items: list[View], sigma_px: float) -> SeenBy:
+    def seen_by(camera: CameraCalibration, late_s: float) -> tuple[list[FloatArray], list[RowMotion]]:
+        model = CameraModel.of(camera, sigma_px)
+        return [straight_rays(v, model, late_s) for v in items], [row_motion(v, model, late_s) for v in items]
+
+    return seen_by
 
 
 def relative_motions(items: list[View], noise: ImuNoise) -> RelativeMotions:
@@ -207,21 +222,24 @@ def _head_turns(items: list[View]) -> FloatArray:
     return np.linalg.norm(so3_log(np.swapaxes(R[:-1], 1, 2) @ R[1:]), axis=1)
 
 
-def straight_rays(view: View, camera: CameraModel) -> FloatArray:
-    """Normalised image coordinates (N, 2) as if the camera had not turned since the middle row, the pose's."""
-    uv = view.features.uv_px
-    xy = camera.lens.unproject(uv)
-    if camera.line_delay_s == 0.0 or not len(xy):
+def straight_rays(view: View, camera: CameraModel, late_s: float = 0.0) -> FloatArray:
+    """Normalised image coordinates (N, 2) as if the camera had not turned since the pose's time.
+
+    That is the middle row's, where the image was not taken `late_s` later than told.
+    """
+    xy = camera.lens.unproject(view.features.uv_px)
+    if (camera.line_delay_s == 0.0 and late_s == 0.0) or not len(xy):
         return xy
-    omega_cam = camera.R_body_cam.T @ view.keyframe.omega_head
-    return turned_back(xy, camera.row_delay_s(uv[:, 1]), omega_cam)
+    row = row_motion(view, camera, late_s)
+    return turned_back(xy, row.delay_s, row.omega_cam)
 
 
-def row_motion(view: View, camera: CameraModel) -> RowMotion:
+def row_motion(view: View, camera: CameraModel, late_s: float = 0.0) -> RowMotion:
     """How the camera moved while it exposed this view, as the filter knew it then."""
-    keyframe = view.keyframe
+    keyframe, R_cam_body = view.keyframe, camera.R_body_cam.T
     v_head = keyframe.T_world_head[:3, :3].T @ keyframe.v_world + np.cross(keyframe.omega_head, camera.t_body_cam)
-    return RowMotion(camera.row_delay_s(view.features.uv_px[:, 1]), camera.R_body_cam.T @ v_head)
+    delay_s = camera.row_delay_s(view.features.uv_px[:, 1]) + late_s
+    return RowMotion(delay_s, R_cam_body @ v_head, R_cam_body @ keyframe.omega_head)
 
 
 def level(part: Reconstructed, T_filter: FloatArray, calibration: CameraCalibration) -> Reconstructed:

@@ -43,7 +43,7 @@ def test_only_rays_of_landmarks_are_moved_and_by_their_own_depth() -> None:
     for view in range(3):
         xy = np.array([seen_from(R_cam[view], centre[view], points[i]) for i in (0, 1)])
         at_once.append(np.vstack([xy, [[0.1, 0.1]]]))  # the third feature is of no landmark
-        rows.append(RowMotion(delay_s, v_cam[view]))
+        rows.append(RowMotion(delay_s, v_cam[view], np.zeros(3)))
     rays = [xy.copy() for xy in at_once]
     for view in range(3):
         for i in (0, 1):
