@@ -55,7 +55,7 @@ def table_rows(result: ResultFile) -> list[str]:
     """A row for each figure; those of one thing (`thing: what`) that are within their bounds share one.
 
     So do those that are held against none, and at the end the figures of nothing else's kind that are held against
-    none. What is not met stands alone.
+    none; of two figures the one that is held against none stands with the other. What is not met stands alone.
     """
     before, after = result.load
     end = f"`{result.command}` | {result.commit} | {result.date} | {before:g}, {after:g} |"
@@ -66,6 +66,11 @@ def table_rows(result: ResultFile) -> list[str]:
             figure
         )
     besides = [figures[0] for (_, held), figures in rows.items() if held == NO_BOUND and len(figures) == 1]
+    if len(besides) == 1 and len(result.figures) == 2:
+        held = next(figure for figure in result.figures if figure is not besides[0])
+        if held.is_met:
+            beside = f"{besides[0].what} {value_with_unit(besides[0])}"
+            return [f"| {held.what} | {value_with_unit(held)}; {beside} | {bound(held)} | {end}"]
     if len(besides) > 1:
         rows = {key: figures for key, figures in rows.items() if figures[0] not in besides}
         rows[BESIDES, NO_BOUND] = besides
