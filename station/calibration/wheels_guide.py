@@ -11,8 +11,8 @@ from station.calibration.wheels import LEAST_VIEWS, Commands, find_rests, is_dri
 from station.model.frames import DriveSample
 from station.motion.drive_commands import commands_motion
 
-# Of each. Six ways and six turns are accepted where single ones differ by up to 2.7 % (MAX_SIGMA, Student's quantile), as
-# those of cheap motors do, or of a robot whose computer is busy; four only up to 1.3 %.
+# Of each. Six ways and six turns are accepted where single ones differ by up to 2.7 % (MAX_SIGMA, Student's quantile),
+# as those of cheap motors do, or of a robot whose computer is busy; four only up to 1.3 %.
 WANTED = 3
 FORTH, BACK, LEFT, RIGHT = "forth", "back", "left", "right"
 WISHES = {
