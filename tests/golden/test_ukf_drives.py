@@ -1,40 +1,79 @@
 """The filter on a simulated drive whose stamps come before the exposure, judged by its truth.
 
-The reference camera's stamps come after it. Here SLAM needs the IMU beyond a frame's stamp, also from a recording.
+The reference camera's stamps come after it. Here SLAM needs the IMU beyond a frame's stamp, also from a recording. Once
+as the robot is built, and once told as a calibration at home would leave it.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
+import numpy as np
+import pytest
 from typer.testing import CliRunner
 
 from robot.simulation.cli import app
 from robot.simulation.config import BuildErrors
 from robot.simulation.construction import built_camera
-from shared.calibration import REFERENCE_CAMERA
+from shared.calibration import REFERENCE_CAMERA, CameraCalibration
 from shared.calibration_yaml import camera_sensor_text
+from shared.geometry import so3_exp, so3_log
 from station.datasets import open_dataset
-from station.experiments.trajectory_error import absolute_trajectory_error
+from station.experiments.trajectory_error import TrajectoryError, absolute_trajectory_error
+from station.model.navigation import Navigation
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
 
 LATER_MS = 110.0  # in the order of the stamps this drive is lost; 20 ms after them it would be borne
 
 
-def test_stamps_before_the_exposure_bend_nothing(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("drive")
+    (folder / "built.toml").write_text(f"[build]\ntime_shift_ms = {LATER_MS}\n")
+    where = ["--world", "small", "--seed", "11", "--route", "mapping", "--max-duration", "20"]
+    out = folder / "drive"
+    result = CliRunner().invoke(app, ["dataset", *where, "--config", str(folder / "built.toml"), "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    return out
+
+
+def followed(drive: Path, told: CameraCalibration) -> tuple[Navigation, TrajectoryError]:
+    """What the filter makes of the drive with the camera that it is told, and how far off that is."""
+    (drive / "mav0/cam0/sensor.yaml").write_text(camera_sensor_text(told))
+    data = open_dataset(drive)
+    assert data.calibration.camera == told and data.truth is not None
+    nav = run_backend(make_backend("ukf", data.calibration, seed=1, threads=1), data.events())
+    return nav, absolute_trajectory_error(nav.trajectory, data.truth, "yaw")
+
+
+def test_stamps_before_the_exposure_bend_nothing(drive: Path) -> None:
     built = built_camera(REFERENCE_CAMERA, BuildErrors(time_shift_ms=LATER_MS))
     assert built.time_shift_s > 0.06
-    (tmp_path / "built.toml").write_text(f"[build]\ntime_shift_ms = {LATER_MS}\n")
-    drive = tmp_path / "drive"
-    where = ["--world", "small", "--seed", "11", "--route", "mapping", "--max-duration", "20"]
-    result = CliRunner().invoke(app, ["dataset", *where, "--config", str(tmp_path / "built.toml"), "--out", str(drive)])
-    assert result.exit_code == 0, result.output
-    (drive / "mav0/cam0/sensor.yaml").write_text(camera_sensor_text(built))
-    data = open_dataset(drive)
-    assert data.calibration.camera == built
-    nav = run_backend(make_backend("ukf", data.calibration, seed=1, threads=1), data.events())
-    assert data.truth is not None and nav.is_metric
-    error = absolute_trajectory_error(nav.trajectory, data.truth, "yaw")
-    assert nav.report.tracking_lost_s == 0
+    nav, error = followed(drive, built)
+    assert nav.is_metric and nav.report.tracking_lost_s == 0
     assert error.rmse_m < 0.05 and error.rotation_rmse_rad < 0.02, error
+
+
+def test_a_map_finds_out_what_its_camera_is(drive: Path) -> None:
+    built = built_camera(REFERENCE_CAMERA, BuildErrors(time_shift_ms=LATER_MS))
+    T = built.T_body_cam_matrix
+    T[:3, :3] = T[:3, :3] @ so3_exp(np.radians([1.0, -1.0, 0.3]))
+    told = msgspec.structs.replace(
+        built,
+        fx=0.98 * built.fx,
+        fy=0.98 * built.fy,
+        T_body_cam=tuple(T.ravel().tolist()),
+        time_shift_s=built.time_shift_s - 0.005,
+    )
+    nav, error = followed(drive, told)
+    found, fit = nav.calibration.camera, nav.report.calibration_fit
+    assert found is not None and fit is not None and nav.report.told_camera == told
+    assert error.rmse_m < 0.05, error
+    turned_deg = np.degrees(so3_log(built.T_body_cam_matrix[:3, :3].T @ found.T_body_cam_matrix[:3, :3]))
+    sigma_deg = np.array(fit.mounting_sigma_deg)
+    assert abs(np.log(found.fx / built.fx)) < min(0.005, 4.0 * fit.focal_sigma)  # of 2 %
+    assert (np.abs(turned_deg) < 4.0 * sigma_deg).all()
+    assert (sigma_deg[[0, 2]] < 0.2).all()  # about its right and forward axes, of 1.0 and 0.3 degrees
+    assert abs(fit.time_shift_s - 0.005) < min(0.0015, 4.0 * fit.time_shift_sigma_s)
