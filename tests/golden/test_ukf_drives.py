@@ -6,8 +6,10 @@ as the robot is built, and once told as a calibration at home would leave it.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import msgspec
 import numpy as np
 import pytest
@@ -21,10 +23,12 @@ from shared.calibration_yaml import camera_sensor_text
 from shared.geometry import so3_exp, so3_log
 from station.datasets import open_dataset
 from station.experiments.trajectory_error import TrajectoryError, absolute_trajectory_error
+from station.model.frames import ImageFrame
 from station.model.navigation import Navigation
 from station.slam.backends import make_backend
-from station.slam.run import run_backend
+from station.slam.run import Events, run_backend
 
+DARK_AFTER_NS, DARK_NS = 8 * 10**9, 2 * 10**9  # under a hand, after which tracking is lost
 LATER_MS = 110.0  # in the order of the stamps this drive is lost; 20 ms after them it would be borne
 
 
@@ -77,3 +81,27 @@ def test_a_map_finds_out_what_its_camera_is(drive: Path) -> None:
     assert (np.abs(turned_deg) < 4.0 * sigma_deg).all()
     assert (sigma_deg[[0, 2]] < 0.2).all()  # about its right and forward axes, of 1.0 and 0.3 degrees
     assert abs(fit.time_shift_s - 0.005) < min(0.0015, 4.0 * fit.time_shift_sigma_s)
+
+
+def test_what_lies_before_and_behind_an_outage_is_one_map(drive: Path) -> None:
+    (drive / "mav0/cam0/sensor.yaml").write_text(
+        camera_sensor_text(built_camera(REFERENCE_CAMERA, BuildErrors(time_shift_ms=LATER_MS)))
+    )
+    data = open_dataset(drive)
+    assert data.calibration.camera is not None and data.truth is not None
+    camera = data.calibration.camera
+    dark = cv2.imencode(".jpg", np.zeros((camera.height, camera.width), dtype=np.uint8))[1].tobytes()
+    begin_ns = int(data.truth.t_robot_ns[0]) + DARK_AFTER_NS
+
+    def events() -> Events:
+        for event in data.events():
+            covered = isinstance(event, ImageFrame) and 0 <= event.t_robot_ns - begin_ns < DARK_NS
+            yield replace(event, encoded=dark) if covered and isinstance(event, ImageFrame) else event
+
+    nav = run_backend(make_backend("ukf", data.calibration, seed=1, threads=1), events())
+    assert any("tracking lost" in message for message in nav.report.messages)
+    assert not nav.keyframes.segment.any()  # all of the first piece
+    behind = nav.keyframes.t_robot_ns > begin_ns + DARK_NS
+    assert behind.any() and not behind.all()
+    error = absolute_trajectory_error(nav.trajectory, data.truth, "yaw")
+    assert error.rmse_m < 0.05, error

@@ -229,6 +229,7 @@ class UkfBackend:
         self._filter.process_frame(empty, current.tracked, frame.index, head=current.head)
         current.T_body_head = None if current.head is None else self._filter.T_body_head
         self._standstill.update(frame.index, is_still)
+        self._carry_on(current, self._filter.state)
         memory.poses.add(frame.index, current.t_imu_ns, self._filter.state.T_world_body, memory.segment)
         return self._update(frame, "tracking: started", self._filter.state)
 
@@ -237,10 +238,17 @@ class UkfBackend:
         self._begin_segment()
         vio = self._make_filter(state)
         self._filter = vio
-        for item in self._memory.adopt(state, clones, self._imu):
+        adopted = self._memory.adopt(state, clones, self._imu)
+        self._carry_on(adopted[0], state)
+        for item in adopted:
             vio.tracks.add_frame(item.tracked, np.zeros(0, dtype=np.int64))
         vio.adopt_landmarks()
         return self._update(frame, "tracking: started in motion", vio.state)
+
+    def _carry_on(self, first: RecentFrame, state: FilterState) -> None:
+        """Link a segment to the one before, where wheels have carried the robot on."""
+        if self._memory.segment and self._calibration.has_wheels and not self._is_lifted:
+            self._memory.carry_on(first, state, self._imu)
 
     def _make_filter(self, state: FilterState) -> VioFilter:
         known = self._wheels_known

@@ -71,6 +71,7 @@ class NavigationMemory:
         self.live = LiveMap(camera, quality)
         self.segment = 0  # number of the present piece of unbroken tracking
         self._T_world_retired = np.eye(4)  # pose of the newest keyframe
+        self._retired_ns = 0  # and its time, the IMU's
 
     def add(self, item: RecentFrame) -> None:
         self.recent[item.frame.index] = item
@@ -85,6 +86,18 @@ class NavigationMemory:
         if not len(segment.dt_s) or segment.dt_s.sum() * 1e9 > NO_LINK_NS:
             return None
         return preintegrate(segment, np.concatenate([state.bias_gyro, state.bias_accel]), self._noise)
+
+    def carry_on(self, first: RecentFrame, state: FilterState, imu: ImuBuffer) -> None:
+        """The segment that begins with this frame is mapped with the one before: wheels and IMU have led here.
+
+        Not where the IMU's readings of the outage are gone (they are kept for some seconds), nor where no views are.
+        """
+        since_ns = imu.first_t_ns
+        if self.views is None or not self.keyframes.items or since_ns is None or since_ns > self._retired_ns:
+            return
+        segment = imu.segment(self._retired_ns, first.t_imu_ns)
+        first.link = preintegrate(segment, np.concatenate([state.bias_gyro, state.bias_accel]), self._noise)
+        self.views.carried_on.add(self.segment)
 
     def adopt(self, state: FilterState, clones: list[int], imu: ImuBuffer) -> list[RecentFrame]:
         """After a start in motion: only the frames of its window stay, linked to each other, with their poses."""
@@ -121,7 +134,7 @@ class NavigationMemory:
             for turned in old.turned:
                 self.views.add(replace(turned, T_world_head=self._T_world_retired @ turned.T_world_head))
             self.views.add(replace(keyframe, link=old.since_turned) if old.turned else keyframe)
-        self._T_world_retired = T_world_head
+        self._T_world_retired, self._retired_ns = T_world_head, old.t_imu_ns
         return self.live.add(keyframe)
 
     def _keyframe(

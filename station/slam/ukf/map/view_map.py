@@ -20,7 +20,7 @@ from station.slam.mapping.assemble import Reconstructed
 from station.slam.mapping.camera_fit import CameraFit
 from station.slam.mapping.inertial_mapping import SeenBy, lay_on_imu
 from station.slam.mapping.inertial_terms import HeadTerms, InertialTerms, WheelTerms
-from station.slam.mapping.odometry import Drift, RelativeMotions
+from station.slam.mapping.odometry import SLIP, SLIP_PER_RADIAN_M, Drift, RelativeMotions
 from station.slam.mapping.odometry_mapping import (
     DEAD_RECKONED_SCALES,
     Adjuster,
@@ -53,6 +53,9 @@ SIGMA_FLOOR_RAD = 2e-4
 # Drives of 20 m are followed within some 0.05 m; with what dead reckoning may be off by, chairs that look alike closed
 # loops (docs/studies/ukf-map.md).
 DRIFT = Drift(position_m=0.15, position_per_way=0.02, rotation_rad=0.09)
+# Where tracking was lost in between: a new start knows up from half a second of the accelerometer, and what the filter
+# said just before it was lost may be wrong. A third of what a loop may correct.
+BRIDGE_FLOOR_M, BRIDGE_FLOOR_RAD = DRIFT.position_m / 3, DRIFT.rotation_rad / 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,10 +89,12 @@ def map_views(
     head: HeadCalibration | None,
     better: BetterKnown | None = None,
 ) -> ViewMap | None:
-    """Map every segment and move its poses along. `wheels`: what is known of them before the drive.
+    """Map every piece of the drive and move its poses along. `wheels`: what is known of them before the drive.
+
+    A piece is a segment and those that wheels and IMU have carried on from it.
 
     Args:
-        camera: as it is known before; the longest segment says what it is, and the others are mapped with that.
+        camera: as it is known before; the longest piece says what it is, and the others are mapped with that.
         head: that carries the camera, where there is one.
         better: whose equations hold the IMU, so that they are asked in place of the filter's motions.
 
@@ -100,9 +105,10 @@ def map_views(
     parts: dict[int, tuple[Reconstructed, list[View], FloatArray]] = {}
     loops, errors = 0, []
     described, matches = views.describe_all()
-    segments = [v.segment for v in described]
-    for number in sorted(set(segments), key=lambda number: (-segments.count(number), number)):
-        at = [i for i, other in enumerate(segments) if other == number]
+    # Smoothing solves each segment by itself.
+    pieces = [v.segment if better is not None else views.piece(v.segment) for v in described]
+    for number in sorted(set(pieces), key=lambda number: (-pieces.count(number), number)):
+        at = [i for i, other in enumerate(pieces) if other == number]
         if len(at) < MIN_VIEWS:
             continue
         items = [described[i] for i in at]
@@ -126,7 +132,7 @@ def map_views(
             terms = None  # too many views hang on the filter's motions, which had tracks of what no view finds again
         if terms is not None:
             v_world = np.array([v.keyframe.v_world for v in items])
-            # One camera has made all segments; and a head's angles would take the mounting's place.
+            # One camera has made all pieces; and a head's angles would take the mounting's place.
             is_fixed = bool(parts) or terms.has_head
             made, camera = lay_on_imu(made, motions.T_world_body, v_world, terms, camera, None if is_fixed else seen_by)
         part = read_odometry_map(made, [v.keyframe.image for v in items], features, camera.camera, views.mapping)
@@ -142,7 +148,9 @@ def map_views(
         return None
     for part, items, T_filter in in_order:
         T_new = part.keyframes.T_world_cam @ camera.camera.T_cam_body_matrix
-        poses.follow([v.frame_index for v in items], T_filter, T_new, items[0].segment)
+        for segment in sorted({v.segment for v in items}):
+            at = [k for k, v in enumerate(items) if v.segment == segment]
+            poses.follow([items[k].frame_index for k in at], T_filter[at], T_new[at], segment)
     return ViewMap(*_join(in_order), camera, loops, float(np.mean(errors)))
 
 
@@ -166,6 +174,13 @@ def relative_motions(items: list[View], noise: ImuNoise) -> RelativeMotions:
         noise.gyro_density**2 * dt + (SIGMA_BIAS_RAD_S * dt) ** 2 + (SIGMA_TURN_SHARE * turn) ** 2 + SIGMA_FLOOR_RAD**2
     )
     sigma_rotation = np.hypot(sigma_rotation, SIGMA_HEAD_SHARE * _head_turns(items))
+    is_bridge = (
+        np.diff([v.segment for v in items]) != 0
+    )  # led over by the IMU and wheels that slip, while images were lost
+    sigma_position[is_bridge] = np.sqrt(
+        BRIDGE_FLOOR_M**2 + (SLIP * length[is_bridge]) ** 2 + (SLIP_PER_RADIAN_M * turn[is_bridge]) ** 2
+    )
+    sigma_rotation[is_bridge] = np.hypot(sigma_rotation[is_bridge], BRIDGE_FLOOR_RAD)
     return RelativeMotions(
         T_world_body=T,
         R=step[:, :3, :3],
@@ -175,7 +190,7 @@ def relative_motions(items: list[View], noise: ImuNoise) -> RelativeMotions:
         sigma_position=np.repeat(sigma_position[:, None], 3, axis=1),
         drift=DRIFT,
         # Where images were followed the filter has left out wheels that contradict them.
-        slips=np.array([v.keyframe.tracked.num_tracked < MIN_FOLLOWED for v in items[1:]], dtype=bool),
+        slips=is_bridge | np.array([v.keyframe.tracked.num_tracked < MIN_FOLLOWED for v in items[1:]], dtype=bool),
     )
 
 
@@ -257,7 +272,7 @@ def level(part: Reconstructed, T_filter: FloatArray, calibration: CameraCalibrat
 
 
 def _join(parts: list[tuple[Reconstructed, list[View], FloatArray]]) -> tuple[Keyframes, Landmarks]:
-    """Segments one after the other."""
+    """Pieces one after the other, each with the number of its first segment."""
     keyframes, landmarks = join_maps([(part.keyframes, part.landmarks) for part, _, _ in parts])
-    segment = np.array([v.segment for _, items, _ in parts for v in items], dtype=np.int64)
+    segment = np.array([items[0].segment for _, items, _ in parts for _ in items], dtype=np.int64)
     return replace(keyframes, segment=segment), landmarks

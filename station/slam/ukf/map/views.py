@@ -60,6 +60,7 @@ class MapViews:
         self._is_linked = False  # a keyframe has come after it
         self._items: list[View] = []
         self._pairs: list[Pairs] = []  # indices into items, unverified
+        self.carried_on: set[int] = set()  # segments that began where wheels and gyroscope had carried the robot
 
     @property
     def least_turn_rad(self) -> float:
@@ -80,6 +81,12 @@ class MapViews:
             self.describe_all()
             self._thin()
 
+    def piece(self, segment: int) -> int:
+        """The first one of the segments that are mapped together with this one."""
+        while segment in self.carried_on:
+            segment -= 1
+        return segment
+
     def describe_next(self) -> bool:
         """Describe one view that waits; False when none does."""
         if not self._chosen:
@@ -89,7 +96,7 @@ class MapViews:
         b = len(self._items)
         self._items.append(View(keyframe.image.index, keyframe.segment, keyframe, found.features, found.seen))
         for a in range(max(0, b - self._config.num_previous), b):
-            if self._items[a].segment == keyframe.segment:
+            if self.piece(self._items[a].segment) == self.piece(keyframe.segment):
                 similarity = similarities(self._items[a].features, found.features)
                 self._pairs.append((a, b, match_both_ways(similarity, self.mapping.matching.max_ratio)))
         return True

@@ -55,6 +55,28 @@ def test_a_keyframe_becomes_a_view_when_the_picture_has_moved_or_a_segment_begin
     assert len(pairs[0][2]) > 100
 
 
+def test_segments_that_carry_on_are_one_piece_and_are_matched() -> None:
+    views = MapViews(MODEL.lens, ViewConfig(min_flow=0.2), 0)
+    views.carried_on |= {1, 3}
+    for number in range(4):
+        views.add(keyframe(number, 200.0 * number, number))
+    assert [views.piece(segment) for segment in range(4)] == [0, 0, 2, 2]
+    _, pairs = views.describe_all()
+    assert [(a, b) for a, b, _ in pairs] == [(0, 1), (2, 3)]
+
+
+def test_a_motion_through_an_outage_counts_little_and_may_be_wrong() -> None:
+    views = MapViews(MODEL.lens, ViewConfig(min_flow=0.2), 0)
+    views.carried_on.add(1)
+    for number, segment in enumerate((0, 0, 1, 1)):
+        views.add(keyframe(number, 200.0 * number, segment, se3(np.eye(3), np.array([0.2 * number, 0.0, 0.0]))))
+    motions = relative_motions(views.describe_all()[0], NOISE)
+    assert motions.slips.tolist() == [False, True, False]
+    assert np.allclose(motions.p[:, 0], 0.2)
+    assert motions.sigma_position[1, 0] > 5 * motions.sigma_position[[0, 2], 0].max()
+    assert motions.sigma_rotation[1] > 5 * motions.sigma_rotation[0]
+
+
 def test_views_keep_a_distance_in_time() -> None:
     views = MapViews(MODEL.lens, ViewConfig(min_flow=0.2, min_interval_s=0.6), 0)
     for number in range(6):  # a quarter of a second and enough motion between each
