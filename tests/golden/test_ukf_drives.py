@@ -7,7 +7,9 @@ as the robot is built, and once told as a calibration at home would leave it.
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import cv2
 import msgspec
@@ -23,10 +25,12 @@ from shared.calibration_yaml import camera_sensor_text
 from shared.geometry import so3_exp, so3_log
 from station.datasets import open_dataset
 from station.experiments.trajectory_error import TrajectoryError, absolute_trajectory_error
-from station.model.frames import ImageFrame
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation
 from station.slam.backends import make_backend
 from station.slam.run import Events, run_backend
+from station.slam.ukf.backend import UkfBackend
+from station.slam.ukf.monitor import CONTRADICTION, TrackingMonitor
 
 DARK_AFTER_NS, DARK_NS = 8 * 10**9, 2 * 10**9  # under a hand, after which tracking is lost
 LATER_MS = 110.0  # in the order of the stamps this drive is lost; 20 ms after them it would be borne
@@ -98,10 +102,51 @@ def test_what_lies_before_and_behind_an_outage_is_one_map(drive: Path) -> None:
             covered = isinstance(event, ImageFrame) and 0 <= event.t_robot_ns - begin_ns < DARK_NS
             yield replace(event, encoded=dark) if covered and isinstance(event, ImageFrame) else event
 
-    nav = run_backend(make_backend("ukf", data.calibration, seed=1, threads=1), events())
+    backend = UkfBackend(data.calibration, seed=1)
+    nav = run_backend(backend, events())
     assert any("tracking lost" in message for message in nav.report.messages)
+    assert_links_are_whole(backend)
     assert not nav.keyframes.segment.any()  # all of the first piece
     behind = nav.keyframes.t_robot_ns > begin_ns + DARK_NS
     assert behind.any() and not behind.all()
     error = absolute_trajectory_error(nav.trajectory, data.truth, "yaw")
     assert error.rmse_m < 0.05, error
+
+
+def assert_links_are_whole(backend: UkfBackend) -> None:
+    """Of all views: the IMU from each to the next."""
+    assert backend.memory.views is not None
+    for before, view in pairwise(backend.memory.views.described()):
+        since_s = (view.keyframe.image.t_robot_ns - before.keyframe.image.t_robot_ns) * 1e-9
+        assert view.keyframe.link is not None and view.keyframe.link.duration_s == pytest.approx(since_s, abs=1e-6)
+
+
+def test_what_leaves_the_window_as_tracking_is_lost_is_kept(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    was, lost = TrackingMonitor.why_lost, list[int]()
+
+    def why_lost(self: TrackingMonitor, *given: Any) -> str | None:
+        reason = was(self, *given)
+        result = given[-1]
+        if not lost and len(result.retired) and given[2] > begin_ns + 5 * 10**9:
+            lost.append(result.retired[0].frame_index)
+            return CONTRADICTION
+        return reason
+
+    data = open_dataset(drive)
+    assert data.truth is not None
+    begin_ns = int(data.truth.t_robot_ns[0])
+    monkeypatch.setattr(TrackingMonitor, "why_lost", why_lost)
+    backend = UkfBackend(data.calibration, seed=1)
+    for event in data.events():
+        if isinstance(event, ImageFrame):
+            backend.add_frame(event)
+            if event.t_robot_ns > begin_ns + 10 * 10**9:
+                break
+        elif isinstance(event, ImuBatch):
+            backend.add_imu(event)
+        else:
+            assert isinstance(event, DriveSample)
+            backend.add_drive(event)
+    backend.finish()
+    assert lost and backend.memory.segment == 1
+    assert_links_are_whole(backend)

@@ -27,7 +27,7 @@ from station.motion.preintegration import ImuSegment
 from station.slam.mapping.intake import FrameIntake
 from station.slam.ukf.config import UkfConfig
 from station.slam.ukf.filter.constraints import BodyVelocity, Rolled, Standstill, WheelsKnown, wheel_velocity
-from station.slam.ukf.filter.filter import SoftConstraint, VioFilter
+from station.slam.ukf.filter.filter import RetiredClone, SoftConstraint, VioFilter
 from station.slam.ukf.filter.head import ServosKnown
 from station.slam.ukf.filter.state import NO_HEAD, FilterState, add_wheels
 from station.slam.ukf.filter.update import is_finite
@@ -171,7 +171,7 @@ class UkfBackend:
         self._tracker.drop(result.rejected_ids)
         reason = self._monitor.why_lost(vio.state, current.tracked, current.t_imu_ns, current.wheels, result)
         if reason is not None:
-            return self._lose(reason, current.t_imu_ns, frame)
+            return self._lose(reason, current.t_imu_ns, frame, result.retired)
         memory.poses.add(frame.index, current.t_imu_ns, vio.state.T_world_body, memory.segment)
         new_points = [memory.retire(retired, vio.state) for retired in result.retired]
         if self._config.landmarks == "thesis":
@@ -264,12 +264,12 @@ class UkfBackend:
         self._monitor.reset()
         self._standstill.reset()
 
-    def _lose(self, reason: str, t_imu_ns: int, frame: ImageFrame) -> SlamUpdate:
+    def _lose(self, reason: str, t_imu_ns: int, frame: ImageFrame, retired: Sequence[RetiredClone] = ()) -> SlamUpdate:
         """Stop tracking: what was estimated before the trouble stays, the next start is a new segment."""
         vio, memory = self._filter, self._memory
         assert vio is not None
         outage = self._monitor.outage_since
-        memory.flush(vio, outage)
+        memory.flush(vio, outage, retired)
         memory.poses.drop_after(t_imu_ns if outage is None else outage, memory.segment)
         self._coasting = Coasting(self._anchor(reason, vio.state), t_imu_ns)
         self._filter = None

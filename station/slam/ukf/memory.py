@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -180,15 +181,20 @@ class NavigationMemory:
         no_colours = np.zeros((0, 3), dtype=np.uint8)
         return replace(self._keyframe(item, no_colours, retired, state), T_world_head=T_before_head)
 
-    def flush(self, vio: VioFilter, outage_since: int | None) -> None:
-        """All poses still in the window become keyframes: nothing will improve them any more."""
+    def flush(self, vio: VioFilter, outage_since: int | None, retired: Sequence[RetiredClone] = ()) -> None:
+        """All poses still in the window become keyframes: nothing will improve them any more.
+
+        Args:
+            retired: left the window with the filter's last frame: without them the next ones' IMU links begin too late.
+        """
         state = vio.state
         if not is_finite(state):
             return
-        for k in range(state.num_clones):
-            index = int(state.clone_frame[k])
-            item = self.recent.get(index)
-            if item is not None and outage_since is not None and item.t_imu_ns >= outage_since:
-                continue
-            T = se3(state.clone_R[k], state.clone_x[k])
-            self.retire(RetiredClone(index, T, True, state.clone_v[k], state.clone_omega[k]), state)
+        left = [
+            RetiredClone(int(state.clone_frame[k]), se3(state.clone_R[k], state.clone_x[k]), True, v, omega)
+            for k, (v, omega) in enumerate(zip(state.clone_v, state.clone_omega, strict=True))
+        ]
+        for clone in (*retired, *left):
+            item = self.recent.get(clone.frame_index)
+            if item is None or outage_since is None or item.t_imu_ns < outage_since:
+                self.retire(clone, state)
