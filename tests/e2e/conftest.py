@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import importlib.util
+import re
 import shutil
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
@@ -32,6 +33,7 @@ ARGUMENTS = [
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
 ]
+YOU_DRIVE = re.compile("^You drive")  # and "slowed to 60 %", where the machine that tests is busy
 LAPTOP = {"viewport": {"width": 1440, "height": 900}}
 expect.set_options(timeout=90_000)  # a loaded machine; only a failing test waits so long
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from playwright.async_api import Page, expect
 
-from tests.e2e.conftest import LAPTOP, PHONE, Room
+from tests.e2e.conftest import LAPTOP, PHONE, YOU_DRIVE, Room
 from tests.support.link import until
 from tests.support.page import drive_by_key
 from tests.support.paths import ROOT
@@ -23,7 +23,7 @@ async def test_the_robot_moves_while_the_joystick_is_held_and_no_longer(room: Ro
     page = await room.open()
     await room.hold(page)
     await until(lambda: room.bench.motors.history[-1][1] > 0.1)  # slower while the page finds the network slow
-    await expect(page.locator("#driver")).to_have_text("You drive")
+    await expect(page.locator("#driver")).to_have_text(YOU_DRIVE)
     held = len(room.bench.motors.history)
     await until(lambda: len(room.bench.motors.history) > held + 10 and room.motors_run)  # repeated while held still
     await page.mouse.up()
@@ -178,7 +178,7 @@ async def test_two_browsers_one_driver_and_a_take_over(room: Room, screen: dict[
     await until(lambda: room.motors_rest)
     await room.hold(first)
     await second.locator("#take-over").click()
-    await expect(second.locator("#driver")).to_have_text("You drive")
+    await expect(second.locator("#driver")).to_have_text(YOU_DRIVE)
     # On a busy machine a late picture may have stopped the first before it was taken over.
     await expect(first.locator("#why")).to_contain_text(re.compile("drives|the picture is"))
     await until(lambda: room.motors_rest)

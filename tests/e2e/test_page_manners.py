@@ -10,7 +10,7 @@ from typing import Literal
 import pytest
 from playwright.async_api import Page, expect
 
-from tests.e2e.conftest import PHONE, Room
+from tests.e2e.conftest import PHONE, YOU_DRIVE, Room
 from tests.e2e.test_page_library import hold_gamepad, open_with_gamepad
 from tests.support.link import until
 from tests.support.openapi import furnish
@@ -276,7 +276,7 @@ async def test_a_duplicated_tab_is_another_driver_and_a_reloaded_one_the_same(ro
     await copy.wait_for_selector("#link[data-state=good]")
     await page.bring_to_front()
     await room.hold(page)
-    await expect(page.locator("#driver")).to_have_text("You drive")
+    await expect(page.locator("#driver")).to_have_text(YOU_DRIVE)
     await expect(copy.locator("#driver")).to_have_text(re.compile(r"\d+ drives"))
     name = (await room.desk.http.get("/robot")).json()["driver"]
     await page.mouse.up()
