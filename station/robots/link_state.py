@@ -10,7 +10,8 @@ from station.robots.network import NOT_CONNECTED, NetworkState
 
 RATE_WINDOW_NS = 2_000_000_000
 # Heartbeats are answered before anything else is sent. So late an answer, and the robot spoke on for so long with so
-# many messages: it does not hear us. After a stall of the network all comes at once, and the answers right behind.
+# many messages: it does not hear us. After a stall of the network the answers come behind all that waited, and reading
+# that takes a slow computer its time: after a silence as long as a late answer's, lateness counts anew.
 UNHEARD_AFTER_NS, UNHEARD_FOR_NS, UNHEARD_MESSAGES = 900_000_000, 250_000_000, 10
 
 
@@ -121,17 +122,21 @@ class Hearing:
     """Whether a robot that speaks to us hears us too: compares what it says with how late it answers heartbeats."""
 
     def __init__(self) -> None:
-        self._answered_ns = 0  # when the last heartbeat was answered
+        self._due_from_ns = 0  # an answer is late from here: the last one, or the end of a silence
+        self._spoke_ns = 0  # when the robot last said something
         self._unanswered = 0  # messages that came when an answer was late already
         self._unanswered_since_ns = 0  # when the first of them came
 
     def note_answer(self, now_ns: int) -> None:
         """The robot heard us: it let us in, or answered a heartbeat."""
-        self._answered_ns, self._unanswered = now_ns, 0
+        self._due_from_ns, self._unanswered = now_ns, 0
 
     def note_message(self, now_ns: int) -> None:
         """The robot said something, whatever it was."""
-        if now_ns - self._answered_ns >= UNHEARD_AFTER_NS:
+        if now_ns - self._spoke_ns >= UNHEARD_AFTER_NS:
+            self._due_from_ns, self._unanswered = now_ns, 0
+        self._spoke_ns = now_ns
+        if now_ns - self._due_from_ns >= UNHEARD_AFTER_NS:
             if self._unanswered == 0:
                 self._unanswered_since_ns = now_ns
             self._unanswered += 1
