@@ -38,9 +38,9 @@ from station.vision.klt import MIN_FOLLOWED
 
 MIN_VIEWS = 3
 SMOOTHED_SCALES = Scales(first=(), loop=(10.0,))  # poses that least squares has made need no way in
-# Homes of plain walls give 14 to 17 and the IMU bends their maps, furnished flats over 80 and it mends their scale.
-LANDMARKS_PER_VIEW_FOR_IMU = 40
-MIN_LANDMARKS_PER_VIEW = 10  # a furnished flat gives a hundred
+# SIFT cannot tell the fields of a chessboard apart: tracks give 4 to 6 times as many landmarks there. Before plain walls
+# they give up to twice as many, and those of views are recognised again (docs/studies/ukf-map.md).
+MAX_TRACKS_PER_LANDMARK = 3
 # How wrong the filter's motion between neighbouring views may be beside its scale; one sigma. Twice its scatter, since
 # errors of ten neighbours add up to 1.7 times what independent ones would (docs/decisions/0023-metre-of-a-map.md).
 SIGMA_SHARE = 0.02  # of the way
@@ -98,9 +98,7 @@ def map_views(
         head: that carries the camera, where there is one.
         better: whose equations hold the IMU, so that they are asked in place of the filter's motions.
 
-    None where views have too few landmarks, and tracks would give more (`count_tracks` tells how many): SIFT cannot
-    tell the fields of a chessboard apart, tracks can. Before plain walls both have few, and those of views are
-    recognised again.
+    None where views have no landmarks, or tracks would give many times more (`count_tracks` tells how many).
     """
     parts: dict[int, tuple[Reconstructed, list[View], FloatArray]] = {}
     loops, errors = 0, []
@@ -128,8 +126,6 @@ def map_views(
         if made.tracks.num_points == 0:
             continue
         terms = None if is_smoothed else inertial_terms(items, noise, gravity, wheels, head)
-        if made.tracks.num_points < LANDMARKS_PER_VIEW_FOR_IMU * len(items):
-            terms = None  # too many views hang on the filter's motions, which had tracks of what no view finds again
         if terms is not None:
             v_world = np.array([v.keyframe.v_world for v in items])
             # One camera has made all pieces; and a head's angles would take the mounting's place.
@@ -142,9 +138,8 @@ def map_views(
         loops += made.num_loops
         errors.append(made.median_error_px)
     in_order = [parts[number] for number in sorted(parts)]
-    num_views = sum(len(items) for _, items, _ in in_order)
     num_landmarks = sum(len(part.landmarks) for part, _, _ in in_order)
-    if num_landmarks == 0 or (num_landmarks < MIN_LANDMARKS_PER_VIEW * num_views and num_landmarks < count_tracks()):
+    if num_landmarks == 0 or MAX_TRACKS_PER_LANDMARK * num_landmarks < count_tracks():
         return None
     for part, items, T_filter in in_order:
         T_new = part.keyframes.T_world_cam @ camera.camera.T_cam_body_matrix
