@@ -128,6 +128,7 @@ async def pair_robot(order: PairOrder, station: StationDep, which: RobotDep) -> 
         host, port = parse_address(order.robot, "robot") if order.robot else (which.config.host, which.config.port)
     except ConfigError as exc:
         raise OutOfRange(str(exc)) from exc
+    await asyncio.to_thread(station.access.robots.check_writable)
     try:
         paired = await pair(host, port, code, config.name)
     except PairingFailed as exc:
