@@ -39,6 +39,8 @@ class TokenRecord(msgspec.Struct, frozen=True, kw_only=True):
 
     def is_live(self, now_s: float) -> bool:
         """Neither revoked nor over."""
+        if self.kind == "link" and now_s < self.created_s:
+            return False  # a clock that was set back must not make ten minutes last for hours
         return self.revoked_s is None and (self.expires_s is None or now_s < self.expires_s)
 
     def __repr__(self) -> str:

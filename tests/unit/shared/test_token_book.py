@@ -110,6 +110,17 @@ def test_who_reads_the_list_can_tell_names_apart_and_type_them(tmp_path: Path) -
             book.add(name, Role.WATCH, 0.0)
 
 
+def test_a_clock_that_was_set_back_makes_no_link_last(tmp_path: Path) -> None:
+    book = TokenBook.create(tmp_path)
+    anna = book.add("anna", Role.DRIVE, 0.0)
+    record = book.find(anna.text, 90_000.0)
+    assert record is not None
+    link = book.add_for(record, "link", 90_000.0, 600.0)
+    assert book.find(link.text, 90_001.0) is not None and book.find(link.text, 90_600.0) is None
+    assert book.find(link.text, 80_000.0) is None
+    assert book.find(anna.text, 80_000.0) is not None
+
+
 def test_a_token_has_so_many_sessions_then_the_oldest_ends(tmp_path: Path) -> None:
     book = TokenBook.create(tmp_path)
     record = book.find(book.add("anna", Role.DRIVE, 0.0).text, 0.0)
