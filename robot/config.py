@@ -15,10 +15,10 @@ from shared.bounded import MAX_SETTINGS_BYTES, parse_toml, read_text
 from shared.discovery import DEFAULT_PORT
 from shared.errors import ConfigError
 from shared.messages import MAX_ANGULAR_RAD_S, MAX_LINEAR_M_S, MAX_NAME_LENGTH
-from shared.text import PRINTABLE, explain
+from shared.text import SEEN_WHOLE, explain
 
 Positive = Annotated[float, Meta(gt=0)]
-ShortText = Annotated[str, Meta(max_length=MAX_NAME_LENGTH, pattern=PRINTABLE)]
+ShortText = Annotated[str, Meta(max_length=MAX_NAME_LENGTH, pattern=SEEN_WHOLE)]
 
 
 Settings = TypeVar("Settings")

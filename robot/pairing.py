@@ -11,6 +11,7 @@ from shared.errors import ConfigError
 from shared.messages import MAX_NAME_LENGTH
 from shared.pairing import Pake, new_code
 from shared.private_files import locked, read_private, write_private
+from shared.text import look_of, without_invisible
 from shared.token_book import TokenBook
 
 FILE_NAME = "pairing.json"
@@ -91,10 +92,11 @@ class PairingDesk:
         return self._book.add(self._free_name(station_name, now_s), opened.role, now_s)
 
     def _free_name(self, name: str, now_s: float) -> str:
-        name = name.strip() or "station"
-        taken = {record.name for record in self._book.tokens() if record.is_live(now_s)}
+        name = without_invisible(name).strip()
+        name = name if look_of(name).strip() else "station"
+        taken = {look_of(record.name) for record in self._book.tokens() if record.is_live(now_s)}
         names = (f"{name[: MAX_NAME_LENGTH - 4]} {n}" for n in range(2, 1000))
-        return name if name not in taken else next(free for free in names if free not in taken)
+        return name if look_of(name) not in taken else next(free for free in names if look_of(free) not in taken)
 
     def _open(self, now_s: float) -> PairingCode:
         content = read_private(self._path)

@@ -3,14 +3,28 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 
 # Control characters (a terminal obeys them, a line break forges a line of a log), separators of lines and paragraphs,
 # marks that turn the direction of all that follows, and halves of surrogate pairs, which no file can hold. What joins
 # letters (U+200C, U+200D) is spelling in Persian and stays.
 _UNPRINTABLE = r"\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff"
 PRINTABLE = rf"^[^{_UNPRINTABLE}]*\Z"  # for names: others are refused
+# What leaves no mark and is no spelling (Default_Ignorable_Code_Point of Unicode without `_FORMS`, and blanks
+# that count as signs): a name with it looks like another one, or like none.
+_INVISIBLE = (
+    r"\xad\u034f\u061c\u115f\u1160\u17b4\u17b5\u180b-\u180f\u200b\u200e\u200f\u2060-\u2065\u206a-\u206f\u2800\u3164\ufeff\uffa0"
+    r"\ufff0-\ufffb\U0001bca0-\U0001bca3\U0001d173-\U0001d17a\U000e0000-\U000e00ff\U000e01f0-\U000e0fff"
+)
+SEEN_WHOLE = (
+    rf"^[^{_UNPRINTABLE}{_INVISIBLE}]*\Z"  # for names that somebody chooses now; older ones are read as they are
+)
+# Joiners and variation selectors: they choose the form of the sign before them, in Persian, Japanese names and emoji.
+_FORMS = re.compile(r"[\u200c\u200d\ufe00-\ufe0f\U000e0100-\U000e01ef]")
 MAX_EXPLANATION = 300
 _ONE = re.compile(f"[{_UNPRINTABLE}]")
+_WHOLE = re.compile(SEEN_WHOLE)
+_UNSEEN = re.compile(f"[{_INVISIBLE}]")
 
 
 def is_printable(text: str) -> bool:
@@ -23,6 +37,24 @@ def printable(text: str) -> str:
     return _ONE.sub("\N{REPLACEMENT CHARACTER}", text)
 
 
+def is_seen_whole(text: str) -> bool:
+    """Whether it can be shown, and each part of it is seen, so that a person can tell it from others and type it."""
+    return _WHOLE.match(text) is not None and (not text or bool(look_of(text).strip()))
+
+
+def look_of(text: str) -> str:
+    """What is seen of it: two names with one look cannot be told apart."""
+    return unicodedata.normalize("NFC", _FORMS.sub("", text))
+
+
+def without_invisible(text: str) -> str:
+    """Without what leaves no mark."""
+    return _UNSEEN.sub("", text)
+
+
 def explain(error: Exception) -> str:
     """What a decoder complains of; it may quote what came, and names our pattern by its regular expression."""
-    return printable(str(error).replace(f"matching regex {PRINTABLE!r}", "of printable characters")[:MAX_EXPLANATION])
+    said = str(error)
+    for pattern, words in ((PRINTABLE, "of printable characters"), (SEEN_WHOLE, "of characters that can be seen")):
+        said = said.replace(f"matching regex {pattern!r}", words)
+    return printable(said[:MAX_EXPLANATION])

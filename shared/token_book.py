@@ -13,7 +13,7 @@ import msgspec
 from shared.access import Role, Token, is_proof, is_secret_of
 from shared.errors import ConfigError
 from shared.private_files import keep_spare, locked, make_private_folder, read_private, write_private
-from shared.text import is_printable
+from shared.text import is_seen_whole, look_of
 
 FILE_NAME = "tokens.json"
 MAX_SESSIONS = 32  # of one token; beyond, the oldest ends
@@ -39,6 +39,8 @@ class TokenRecord(msgspec.Struct, frozen=True, kw_only=True):
 
     def is_live(self, now_s: float) -> bool:
         """Neither revoked nor over."""
+        if self.kind == "link" and now_s < self.created_s:
+            return False  # a clock that was set back must not make ten minutes last for hours
         return self.revoked_s is None and (self.expires_s is None or now_s < self.expires_s)
 
     def __repr__(self) -> str:
@@ -141,11 +143,14 @@ class TokenBook:
 
     def add(self, name: str, role: Role, now_s: float, lifetime_s: float | None = None) -> Token:
         """A new token. Raises ConfigError: a live one has this name already."""
-        if not 0 < len(name) <= 64 or not is_printable(name):
-            raise ConfigError(f"{name!r} is no name for a token; give 1 to 64 printable characters")
+        if not 0 < len(name) <= 64 or not is_seen_whole(name) or name != name.strip():
+            raise ConfigError(
+                f"{name!r} is no name for a token; give 1 to 64 characters that can be seen, no space at its ends"
+            )
         token = Token.new()
         with self._changing():
-            if any(r.kind == "token" and r.name == name and r.is_live(now_s) for r in self._records.values()):
+            alike = (r for r in self._records.values() if look_of(r.name) == look_of(name))
+            if any(r.kind == "token" and r.is_live(now_s) for r in alike):
                 raise ConfigError(f"there is a token named {name!r} already; revoke it first or choose another name")
             self._put(token, name, role, now_s, lifetime_s)
             self._write(now_s)

@@ -98,6 +98,12 @@ class PairedRobots:
             f" run `robot-server pair` on it, then `station pair {address} --code CODE{self._data}`"
         )
 
+    def check_writable(self) -> None:
+        """Before a code is used up. Raises ConfigError: a robot could not be stored."""
+        make_private_folder(self.path.parent)
+        with locked(self.path):
+            self._write(self.all())
+
     def store(self, robot: PairedRobot) -> None:
         """Add a robot; it replaces one with the same certificate or address."""
         make_private_folder(self.path.parent)

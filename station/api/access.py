@@ -17,7 +17,7 @@ from station.access.visitors import SESSION_S, Visitor
 from station.api.deps import RobotDep, StationDep, VisitorDep
 from station.api.doorkeeper import COOKIE, address_of
 from station.api.problems import responses
-from station.api.schema.base import Model
+from station.api.schema.base import Model, Question
 from station.api.schema.station import SessionModel
 from station.config import parse_address
 from station.errors import Conflict, OutOfRange, Unknown
@@ -27,13 +27,13 @@ itself = APIRouter(tags=["access"])  # below /robot
 STATION_NAME = 64
 
 
-class LoginOrder(Model):
+class LoginOrder(Question):
     token: str = Field(max_length=256, description="a token, or the code of a login link")
 
 
-class TokenOrder(Model):
+class TokenOrder(Question):
     name: str = Field(min_length=1, max_length=64)
-    role: Role
+    role: Annotated[Role, Field(strict=False)]  # a word in JSON
     days: float | None = Field(default=None, gt=0, le=36_500, description="it ends by itself; null: it does not")
 
 
@@ -53,7 +53,7 @@ class NewTokenModel(Model):
     token: str = Field(description="shown only now")
 
 
-class PairOrder(Model):
+class PairOrder(Question):
     code: Annotated[str, Field(max_length=32, description="as the robot shows it")]
     robot: str | None = Field(default=None, max_length=300, description="HOST:PORT; null: as in the settings")
 
@@ -128,6 +128,7 @@ async def pair_robot(order: PairOrder, station: StationDep, which: RobotDep) -> 
         host, port = parse_address(order.robot, "robot") if order.robot else (which.config.host, which.config.port)
     except ConfigError as exc:
         raise OutOfRange(str(exc)) from exc
+    await asyncio.to_thread(station.access.robots.check_writable)
     try:
         paired = await pair(host, port, code, config.name)
     except PairingFailed as exc:

@@ -129,8 +129,10 @@ def pair(
     settings = load_config(config)
     host, port = parse_address(robot, "ROBOT")
     station_name = f"{settings.name} on {socket.gethostname() or 'a PC'}"
-    paired = asyncio.run(pair_with(host, port, parse_code(code), station_name))
-    _robots(data, config).store(paired)
+    known, digits = _robots(data, config), parse_code(code)
+    known.check_writable()
+    paired = asyncio.run(pair_with(host, port, digits, station_name))
+    known.store(paired)
     shown = show_fingerprint(bytes.fromhex(paired.fingerprint))
     if as_json:
         print(json.dumps({"robot": paired.name, "host": host, "port": port, "fingerprint": paired.fingerprint}))

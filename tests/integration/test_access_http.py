@@ -234,6 +234,8 @@ async def test_tokens_are_made_listed_and_revoked_over_http(tmp_path: Path) -> N
         assert (await http.get("/session", headers=token)).json()["name"] == "display"
         twice = await http.post("/access/tokens", json={"name": "display", "role": "watch"}, headers=admin)
         assert is_problem(twice, 409)
+        for order in ({"name": "day", "role": "watch", "days": True}, {"name": "ev\u202eil", "role": "watch"}):
+            assert is_problem(await http.post("/access/tokens", json=order, headers=admin), 422), order
         listed = (await http.get("/access/tokens", headers=admin)).text
         assert made.json()["token"] not in listed and "digest" not in listed
         token_id = next(t["id"] for t in json.loads(listed) if t["name"] == "display")

@@ -79,6 +79,9 @@ async def test_drives_and_maps_are_renamed_and_their_clouds_are_ply_files(tmp_pa
             for forged in ("Flat\x00", "\x1b[2J", "Flat\nrobot lost"):
                 refused = await desk.http.patch(path, json={"name": forged})
                 assert is_problem(refused, 422) and "cannot be shown" in refused.json()["detail"]
+            for unseen in ("Flat\u200b", "\u2060", "\u3164", "\ufeffFlat", "\u200d"):
+                refused = await desk.http.patch(path, json={"name": unseen})
+                assert is_problem(refused, 422) and "cannot be seen" in refused.json()["detail"]
             assert is_problem(await desk.http.patch(f"{path}-not", json={"name": "x"}), 404)
         assert (await desk.http.get("/graph")).json()["metric"] is True
     async with running_station(1, tmp_path) as desk:

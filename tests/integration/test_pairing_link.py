@@ -8,20 +8,24 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from typer.testing import CliRunner
 
 from robot.access import Gate
 from robot.pairing import CODE_LIFE_S, FILE_NAME, TRIES, PairingCode, PairingDesk
 from shared.access import Role, Token
 from shared.certificates import open_identity
+from shared.errors import ConfigError
 from shared.framing import MAX_STATION_PAYLOAD, encode_payload
 from shared.message_codec import encode_message
 from shared.messages import PROTOCOL_VERSION, PairProof, PairReply, PairRequest, Refusal
 from shared.pairing import Pake
 from shared.private_files import read_private
 from shared.token_book import TokenBook
+from station.access import paired_robots
 from station.access.connecting import connect_by_tls
 from station.access.paired_robots import PairedRobots
 from station.access.pairing import PairingFailed, pair
+from station.main import app
 from tests.support.access import GuardedBench, guarded_robot, linked, set_up, talking
 from tests.support.link import until
 
@@ -56,6 +60,32 @@ async def test_a_code_is_void_after_a_few_wrong_guesses(tmp_path: Path) -> None:
         with pytest.raises(PairingFailed, match="no pairing code is open"):
             await pair("127.0.0.1", bench.port, code, "desk")
         assert not TokenBook(bench.folder).tokens()
+
+
+async def test_a_code_is_not_used_up_where_the_robot_cannot_be_stored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with guarded_robot(tmp_path / "robot") as bench:
+        code = bench.gate.desk.open_code(Role.DRIVE, time.time())
+        command = ["pair", f"127.0.0.1:{bench.port}", "--code", code, "--data", str(tmp_path / "data")]
+        with monkeypatch.context() as full:
+            full.setattr(paired_robots, "write_private", refuse)
+            refused = await asyncio.to_thread(CliRunner().invoke, app, command)
+        assert "No space left" in str(refused.exception) and not TokenBook(bench.folder).tokens()
+        paired = await asyncio.to_thread(CliRunner().invoke, app, command)
+        assert paired.exit_code == 0 and len(TokenBook(bench.folder).tokens()) == 1
+
+
+def refuse(path: Path, content: bytes) -> None:
+    raise ConfigError(f"{path} cannot be written (No space left on device)")
+
+
+async def test_a_station_whose_name_cannot_be_seen_gets_one_that_can(tmp_path: Path) -> None:
+    async with guarded_robot(tmp_path) as bench:
+        for name in ("desk", "desk\u200b", "\u2060"):
+            code = bench.gate.desk.open_code(Role.DRIVE, time.time())
+            await pair("127.0.0.1", bench.port, code, name)
+        assert {token.name for token in TokenBook(bench.folder).tokens()} == {"desk", "desk 2", "station"}
 
 
 async def test_guesses_at_once_do_not_get_more_tries(tmp_path: Path) -> None:

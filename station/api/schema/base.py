@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator
 
-from shared.text import is_printable
+from shared.text import is_printable, is_seen_whole
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -14,6 +14,8 @@ Number = Annotated[float, Field(allow_inf_nan=False)]
 def _not_blank(name: str) -> str:
     if not name.strip():
         raise ValueError("a name needs a character that is no space")
+    if not is_seen_whole(name) and is_printable(name):  # what cannot be shown has a sentence of its own
+        raise ValueError("a character cannot be seen, such as a space of no width")
     return name
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from shared.errors import DataError
 from shared.geometry import FloatArray
+from shared.text import look_of
 from station.model.floor_plan import MAX_EDITS, NO_ROOM, Door, FloorPlan, PlanEdits, Room
 from station.model.place_map import PlaceMap
 from station.places.rooms.planning import planned, with_plan
@@ -41,7 +42,8 @@ def with_room_renamed(place_map: PlaceMap, room_id: str, name: str) -> PlaceMap:
     """
     plan = require_plan(place_map)
     find_room(place_map, room_id)
-    if any(room.name.casefold() == name.casefold() and room.id != room_id for room in plan.rooms):
+    look = look_of(name).casefold()
+    if any(look_of(room.name).casefold() == look and room.id != room_id for room in plan.rooms):
         raise DataError(f'map "{place_map.name}" has another room named "{name}"; choose a different name')
     edits = replace(place_map.plan_edits, names={**place_map.plan_edits.names, room_id: name})
     rooms = tuple(replace(room, name=name) if room.id == room_id else room for room in plan.rooms)

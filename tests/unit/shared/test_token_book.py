@@ -87,6 +87,40 @@ def test_names_are_unique_among_those_who_may_and_lifetimes_end(tmp_path: Path) 
             book.add(name, Role.WATCH, 0.0)
 
 
+def test_who_reads_the_list_can_tell_names_apart_and_type_them(tmp_path: Path) -> None:
+    book = TokenBook.create(tmp_path)
+    for name in ("anna", "José", "می\u200cخواهم", "👩\u200d🚀", "葛\U000e0100"):
+        book.add(name, Role.WATCH, 0.0)
+    for name in (
+        "anna\u200b",
+        "\u200b",
+        "\u200d",
+        "\ufeffanna",
+        "an\xadna",
+        "\u2800",
+        "\u3164",
+        "\U000e0041",
+        " anna",
+        "anna ",
+    ):
+        with pytest.raises(ConfigError, match="can be seen"):
+            book.add(name, Role.WATCH, 0.0)
+    for name in ("anna\u200d", "anna\ufe00", "Jose\u0301"):
+        with pytest.raises(ConfigError, match="already"):
+            book.add(name, Role.WATCH, 0.0)
+
+
+def test_a_clock_that_was_set_back_makes_no_link_last(tmp_path: Path) -> None:
+    book = TokenBook.create(tmp_path)
+    anna = book.add("anna", Role.DRIVE, 0.0)
+    record = book.find(anna.text, 90_000.0)
+    assert record is not None
+    link = book.add_for(record, "link", 90_000.0, 600.0)
+    assert book.find(link.text, 90_001.0) is not None and book.find(link.text, 90_600.0) is None
+    assert book.find(link.text, 80_000.0) is None
+    assert book.find(anna.text, 80_000.0) is not None
+
+
 def test_a_token_has_so_many_sessions_then_the_oldest_ends(tmp_path: Path) -> None:
     book = TokenBook.create(tmp_path)
     record = book.find(book.add("anna", Role.DRIVE, 0.0).text, 0.0)
