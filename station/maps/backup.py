@@ -85,6 +85,8 @@ def restore_backup(store: MapStore, path: Path) -> BackupReport:
         found.damaged.append(f"{path} ends early ({exc}); what came before was restored")
     except OSError as exc:
         raise DataError(f"{path} cannot be read ({exc.strerror}); give a file written by `station map backup`") from exc
+    if not found.entries:
+        raise DataError(f"{path} is no backup (it holds nothing); give a file written by `station map backup`")
     if found.strangers:
         first = printable(found.first_stranger)[:MAX_SHOWN]
         found.damaged.append(f"{path} holds what no backup does: {first}, {found.strangers} in all; it is left out")
@@ -109,12 +111,14 @@ class _Found:
         self.records: dict[str, dict[int, tuple[MapRecord, bytes]]] = {}  # of a map, by the version's number
         self.addresses: set[str] = set()  # of the files
         self.damaged: list[str] = []
+        self.entries = 0  # of any kind
         self.strangers, self.first_stranger = 0, ""  # entries that no backup has
         self._store = store
         self._path = path
 
     def add(self, archive: tarfile.TarFile, member: tarfile.TarInfo) -> None:
         """A record or a blob; what is something else is counted. Raises what an unreadable archive does."""
+        self.entries += 1
         file = parse_record_name(member.name)
         address = file.address if file else member.name.rpartition("/")[2]
         if not member.isfile() or not ADDRESS.fullmatch(address):

@@ -154,6 +154,12 @@ def test_a_backup_brings_everything_back(place_map: PlaceMap, store: MapStore, t
     assert content_hash(other, place_map.id) == map_content_hash(place_map)
 
 
+def test_a_file_of_zeros_is_no_backup(tmp_path: Path) -> None:
+    (tmp_path / "b.tar").write_bytes(bytes(tarfile.RECORDSIZE))  # an archive's end, and nothing before it
+    with pytest.raises(DataError, match="holds nothing"):
+        restore_backup(MapStore(tmp_path / "other"), tmp_path / "b.tar")
+
+
 def test_what_is_no_part_of_a_backup_is_told_and_left_out(store: MapStore, tmp_path: Path) -> None:
     write_backup(store, tmp_path / "b.tar")
     with tarfile.open(tmp_path / "b.tar", "a") as archive:
