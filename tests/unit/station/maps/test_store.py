@@ -112,6 +112,8 @@ def test_a_new_name_is_kept_and_names_stay_unique(place_map: PlaceMap, address: 
     assert store.load(place_map.id).places[0].name == "Sofa corner"
     with pytest.raises(DataError, match='another place named "sofa corner"'):
         rename_place(store, place_map.id, second.id, "sofa corner")
+    with pytest.raises(DataError, match="another place named"):
+        rename_place(store, place_map.id, second.id, "Sofa\u200c corner")
     with pytest.raises(DataError, match="1 to 80 characters"):
         rename_place(store, place_map.id, second.id, " ")
     with pytest.raises(DataError, match='no place with id "x"'):

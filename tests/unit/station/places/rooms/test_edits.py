@@ -46,9 +46,10 @@ def test_a_name_is_kept_when_the_plan_is_made_anew(one_room: PlaceMap) -> None:
     assert [(r.id, r.name) for r in require_plan(planned(named)).rooms] == [(room.id, "Kitchen")]
 
 
-def test_names_are_unique_whatever_their_letters() -> None:
+@pytest.mark.parametrize("name", ["LIVING room", "Living\u200d room"])
+def test_names_are_unique_whatever_their_letters(name: str) -> None:
     with pytest.raises(DataError, match="another room named"):
-        with_room_renamed(with_two_rooms(make_map()), "room-k", "LIVING room")
+        with_room_renamed(with_two_rooms(make_map()), "room-k", name)
 
 
 def test_a_door_that_was_drawn_parts_the_room_and_erased_it_is_one_again(one_room: PlaceMap) -> None:
