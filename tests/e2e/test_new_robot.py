@@ -38,7 +38,7 @@ from tests.support.station import Desk, running_station
 pytestmark = [
     pytest.mark.browser,
     pytest.mark.slow,
-    pytest.mark.timeout(900),
+    pytest.mark.timeout(1500),
     pytest.mark.asyncio(loop_scope="module"),
 ]
 
@@ -87,7 +87,7 @@ async def test_a_robot_built_otherwise_than_it_tells_is_calibrated_and_tells_its
         await expect(dialog.get_by_role("button", name="Finish")).to_be_disabled()
         await hold_everywhere(desk.http, simulator, built.fx / told.fx)
         await dialog.get_by_role("button", name="Finish").click()
-        await expect(dialog.locator(".verdict")).to_have_text("This calibration is good.", timeout=300_000)
+        await expect(dialog.locator(".verdict")).to_have_text("This calibration is good.", timeout=600_000)
         await dialog.get_by_role("button", name="Use it").click()
         await expect(dialog).to_contain_text("The robot tells these numbers now")
         fx, fy, cx, cy = (await desk.http.get("/calibration")).json()["camera"]["intrinsics"]
@@ -156,7 +156,7 @@ async def test_the_wheels_are_driven_in_the_dialog_measured_and_do_as_they_are_t
         await stand_in_the_open(desk.http, simulator, 1.0)
         await drive_as_told(dialog)
         await dialog.get_by_role("button", name="Finish").click()
-        await expect(dialog.locator(".verdict")).to_be_visible(timeout=300_000)
+        await expect(dialog.locator(".verdict")).to_be_visible(timeout=600_000)
         assert await dialog.locator(".verdict.good").count(), await dialog.inner_text()
         await dialog.get_by_role("button", name="Use it").click()
         await expect(dialog).to_contain_text("The robot tells these numbers now")
@@ -188,9 +188,9 @@ async def test_a_minute_at_rest_tells_the_imus_white_noise_and_the_robot_takes_i
         await expect(dialog).to_contain_text("at rest of at least 1 min")
         finish = dialog.get_by_role("button", name="Finish")
         await expect(finish).to_be_disabled()
-        await expect(finish).to_be_enabled(timeout=300_000)
+        await expect(finish).to_be_enabled(timeout=600_000)
         await finish.click()
-        await expect(dialog.locator(".verdict")).to_be_visible(timeout=300_000)
+        await expect(dialog.locator(".verdict")).to_be_visible(timeout=600_000)
         assert await dialog.locator(".verdict.good").count(), await dialog.inner_text()
         await expect(dialog).to_contain_text("gyroscope, white")
         await dialog.get_by_role("button", name="Use it").click()

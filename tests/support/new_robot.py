@@ -115,7 +115,7 @@ async def wave_until_all_is_recorded(dialog: Locator, simulator: SimulatorLink, 
             while (await asyncio.to_thread(simulator.ask, cmd="truth"))["carried"]:
                 await asyncio.sleep(0.5)
         await finish.click()
-        await expect(dialog.locator(".verdict")).to_be_visible(timeout=300_000)
+        await expect(dialog.locator(".verdict")).to_be_visible(timeout=600_000)
         await asyncio.to_thread(simulator.ask, cmd="board", gone=True)
         if "the IMU fell silent" not in await dialog.inner_text():
             return
@@ -137,7 +137,7 @@ async def carry_about_until_all_is_recorded(
             while (await asyncio.to_thread(simulator.ask, cmd="truth"))["carried"]:
                 await asyncio.sleep(0.5)
         await finish.click()
-        await expect(dialog.locator(".verdict")).to_be_visible(timeout=300_000)
+        await expect(dialog.locator(".verdict")).to_be_visible(timeout=600_000)
         if "the IMU fell silent" not in await dialog.inner_text():
             return
         await dialog.get_by_role("button", name="Again").click()
