@@ -38,8 +38,8 @@ from station.vision.klt import MIN_FOLLOWED
 
 MIN_VIEWS = 3
 SMOOTHED_SCALES = Scales(first=(), loop=(10.0,))  # poses that least squares has made need no way in
-# SIFT cannot tell the fields of a chessboard apart: tracks give 4 to 6 times as many landmarks there. Before plain walls
-# they give up to twice as many, and those of views are recognised again (docs/studies/ukf-map.md).
+# SIFT cannot tell the fields of a chessboard apart: tracks give 4 to 6 times as many landmarks there. Before plain
+# walls they give up to twice as many, and those of views are recognised again (docs/studies/ukf-map.md).
 MAX_TRACKS_PER_LANDMARK = 3
 # How wrong the filter's motion between neighbouring views may be beside its scale; one sigma. Twice its scatter, since
 # errors of ten neighbours add up to 1.7 times what independent ones would (docs/decisions/0023-metre-of-a-map.md).
