@@ -10,12 +10,13 @@ map; the prior is what calibrations at home are off by (station/model/best_camer
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
 
 from shared.calibration import CameraCalibration
+from shared.errors import DegenerateGeometry
 from shared.geometry import FloatArray, skew, so3_exp, so3_log
 from station.model.best_camera import (
     TOLD_FOCAL_SIGMA,
@@ -25,7 +26,7 @@ from station.model.best_camera import (
     KnownCamera,
 )
 from station.model.calibration_fit import CalibrationFit, judge
-from station.slam.mapping.calibration_information import FOCAL, FOCAL_STEP, MOUNTING, TIME
+from station.slam.mapping.calibration_information import FOCAL, FOCAL_STEP, MOUNTING, PRIOR_SIGMA, TIME
 from station.slam.mapping.odometry_bundle import BundleState, MotionTerms, Observations, in_camera, information_on
 from station.slam.mapping.rolling_shutter import RowMotion
 from station.vision.lens import Lens
@@ -44,6 +45,7 @@ class CameraFit:
     told: CameraCalibration
     camera: CameraCalibration  # corrected, with the told time shift; see `late_s`
     error: FloatArray  # (8,)
+    focal_sigma_before: float  # relative, as it was known before the map
     sigma: FloatArray | None = None  # (8,) one standard deviation; None: no map has said anything
 
     @classmethod
@@ -53,7 +55,7 @@ class CameraFit:
         error[FOCAL] = np.log(known.camera.fx / told.fx)
         error[MOUNTING] = so3_log(told.T_body_cam_matrix[:3, :3].T @ known.camera.T_body_cam_matrix[:3, :3])
         error[TIME] = known.late_s
-        return cls(told, known.camera, error)
+        return cls(told, known.camera, error, known.focal_sigma)
 
     @property
     def late_s(self) -> float:
@@ -68,29 +70,42 @@ class CameraFit:
         rows: Sequence[RowMotion],
         scale_px: float,
     ) -> CameraFit:
-        """By a map that was solved with this camera.
+        """By a map that was solved with this camera; as it is where the map knows it worse than was known before.
 
         Args:
             rows: how the camera moved at each pose.
             scale_px: of the robust loss.
         """
         J = camera_jacobian(state, seen, self.camera, rows)
-        information, score = information_on(state, seen, motion, scale_px, J)
+        try:
+            information, score = information_on(state, seen, motion, scale_px, J)
+        except DegenerateGeometry:
+            return self
         prior = np.diag(TOLD_SIGMA**-2)
         covariance = np.linalg.inv(information + prior)
-        step = covariance @ (score - prior @ self.error)
-        error = self.error + step
-        return CameraFit(self.told, moved(self.told, error), error, np.sqrt(np.diag(covariance)))
+        sigma = np.sqrt(np.diag(covariance))
+        if sigma[FOCAL] > self.focal_sigma_before:
+            return self
+        error = self.error + covariance @ (score - prior @ self.error)
+        return replace(self, camera=moved(self.told, error), error=error, sigma=sigma)
 
     def judged(self) -> CalibrationFit | None:
-        """What that means for who told the camera; None where no map has said anything."""
+        """What the map alone says of the told camera; None where no map has said anything.
+
+        Without what is told: whoever weighs the two (best_camera.py) would count that twice, and of a map that knows
+        little, half an error would be called none.
+        """
         if self.sigma is None:
             return None
+        of_windows = slice(len(PRIOR_SIGMA))  # a fit does not speak of the position
+        together = self.sigma[of_windows] ** -2
+        information = np.maximum(together - TOLD_SIGMA[of_windows] ** -2, PRIOR_SIGMA**-2)
+        error, sigma = self.error[of_windows] * together / information, information**-0.5
         return judge(
-            focal=(float(np.exp(self.error[FOCAL])), float(self.sigma[FOCAL])),
-            mounting_deg=np.degrees(self.error[MOUNTING]),
-            mounting_sigma_deg=np.degrees(self.sigma[MOUNTING]),
-            shift_s=(self.late_s, float(self.sigma[TIME])),
+            focal=(float(np.exp(error[FOCAL])), float(sigma[FOCAL])),
+            mounting_deg=np.degrees(error[MOUNTING]),
+            mounting_sigma_deg=np.degrees(sigma[MOUNTING]),
+            shift_s=(float(error[TIME]), float(sigma[TIME])),
         )
 
 

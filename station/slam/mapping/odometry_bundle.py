@@ -19,6 +19,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import bsr_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
+from shared.errors import DegenerateGeometry
 from shared.geometry import FloatArray, IntArray, skew, so3_exp, transform
 
 HELD_SIGMA = 1e-4  # rad and m: the first pose stays where it is
@@ -281,6 +282,8 @@ def information_on(
         J: (K, 2, c) px, how the residuals change with them.
     Returns:
         Information (c, c) and score (c,): their step is the information's inverse times the score. In units of a pixel.
+    Raises:
+        DegenerateGeometry: observations and motion leave a pose, velocity or point open.
     """
     n, m, c = len(state.R_world_body), len(state.points), J.shape[2]
     by_point = np.argsort(seen.point, kind="stable")
@@ -291,7 +294,10 @@ def information_on(
     by_poses = np.zeros((len(linear.g_motion), c))
     by_poses[: 6 * n] = _sum_by(seen.keyframe, np.swapaxes(whitened.J_pose, 1, 2) @ J, n).reshape(6 * n, c)
     by_points = _sum_by(seen.point[by_point], (np.swapaxes(whitened.J_point, 1, 2) @ J)[by_point], m)
-    reduced = _reduce(linear, 0.0)
+    try:
+        reduced = _reduce(linear, 0.0)
+    except np.linalg.LinAlgError as exc:
+        raise DegenerateGeometry("the map's equations have no single solution") from exc
     B = reduced.without_points(by_poses, by_points.reshape(3 * m, c))
     g = reduced.without_points(_gradient(linear), linear.g_point.ravel())
     explained = reduced.V_inv @ by_points

@@ -11,7 +11,7 @@ import numpy as np
 from shared.calibration import Calibration
 from shared.geometry import se3
 from station.model.best_camera import KnownCamera, corrected, misfit_of
-from station.model.calibration_fit import CalibrationFit
+from station.model.calibration_fit import CalibrationFit, newer
 from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 from station.motion.imu_buffer import ImuCounts
 from station.slam.mapping import report as mapping_report
@@ -50,7 +50,7 @@ def make_navigation(
         report,
         landmarks=len(made.landmarks),
         config=report.config | made.facts,
-        calibration_fit=made.fit or fit,
+        calibration_fit=fit if made.fit is None else newer(fit, made.fit),
         told_camera=None if made.calibration == calibration else calibration.camera,
     )
     report = replace(report, messages=tuple(filter(None, (*report.messages, *made.messages, misfit_of(report)))))

@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 from scipy.sparse import csc_matrix, diags_array
 
-from shared.calibration import REFERENCE_CAMERA, CameraCalibration
+from shared.calibration import REFERENCE_CAMERA, CameraCalibration, ImuNoise
+from shared.errors import DegenerateGeometry
 from shared.geometry import FloatArray, IntArray, so3_exp, so3_log
 from station.model.best_camera import KnownCamera, corrected
-from station.model.calibration_fit import FITS, judge
+from station.model.calibration_fit import FITS, UNKNOWN, judge
+from station.motion.preintegration import ImuSegment, preintegrate
 from station.slam.mapping.camera_fit import SIZE, TOLD_SIGMA, CameraFit, camera_jacobian, moved
+from station.slam.mapping.inertial_terms import InertialTerms
 from station.slam.mapping.odometry_bundle import BundleState, Observations, information_on
 from station.slam.mapping.rolling_shutter import RowMotion, turned_back
 from station.vision.lens import Lens
@@ -224,3 +227,55 @@ def test_a_right_camera_is_said_to_fit() -> None:
     judged = fit.judged()
     assert judged is not None and judged.verdict == FITS
     assert judged.focal_sigma < 0.003
+
+
+@pytest.mark.parametrize("noise_px", [0.3, 30.0])
+def test_what_is_told_counts_once_where_the_fit_corrects_it(noise_px: float) -> None:
+    error = wrong(np.random.default_rng(9))
+    drive = make_drive(9, LENS, float(error[4]), noise_px)
+    camera = told(error)
+    fit = rounds(drive, CameraFit.started(camera, KnownCamera(camera, 0.01)), 2)
+    assert fit.sigma is not None
+    again = corrected(camera, fit.judged())
+    assert again.camera.fx == pytest.approx(fit.camera.fx, rel=1e-9)
+    assert np.allclose(again.camera.T_body_cam_matrix[:3, :3], fit.camera.T_body_cam_matrix[:3, :3], atol=1e-9)
+    assert again.focal_sigma == pytest.approx(fit.sigma[0]) and again.late_s == pytest.approx(fit.late_s)
+
+
+def test_a_map_that_knows_no_more_than_was_told_is_not_said_to_fit() -> None:
+    sigma = TOLD_SIGMA / np.sqrt(2.0)
+    half_of_four_per_cent = np.array([0.02, *np.zeros(7)])
+    fit = CameraFit(LENS, moved(LENS, half_of_four_per_cent), half_of_four_per_cent, 0.01, sigma).judged()
+    assert fit is not None and fit.verdict == UNKNOWN
+    assert np.log(fit.focal_scale) == pytest.approx(0.04) and fit.focal_sigma == pytest.approx(0.01)
+
+
+def test_a_map_that_says_nothing_leaves_all_open() -> None:
+    fit = CameraFit(LENS, LENS, np.zeros(SIZE), 0.01, TOLD_SIGMA).judged()
+    assert fit is not None and fit.verdict == UNKNOWN
+    assert fit.focal_scale == 1.0 and fit.focal_sigma == pytest.approx(0.1)
+
+
+def test_a_map_that_knows_the_camera_worse_than_the_drive_before_it_leaves_it() -> None:
+    drive = make_drive(4, LENS, 0.0, 30.0)
+    before = CameraFit.started(LENS, KnownCamera(LENS, 1e-5))
+    assert rounds(drive, before, 1) is before
+    assert rounds(drive, CameraFit.started(LENS, KnownCamera(LENS, 0.01)), 1).sigma is not None
+
+
+def test_a_map_whose_equations_leave_velocities_open_leaves_the_camera() -> None:
+    noise = ImuNoise(gyro_density=1e-4, accel_density=1e-3, gyro_walk=1e-5, accel_walk=1e-4, rate_hz=200.0)
+    steps = 80
+    at_rest = np.tile([0.0, 0.0, 9.81], (steps, 1))
+    imu = ImuSegment(np.full(steps, 0.005), np.zeros((steps, 3)), at_rest, 0, np.zeros(3), np.ones((steps, 6)))
+    views, link = 5, preintegrate(imu, np.zeros(6), noise)
+    terms = InertialTerms([link] * (views - 1), noise, 9.81, np.zeros(6), None)
+    motion = terms.start(np.zeros((views, 3)))
+    state = BundleState(np.tile(np.eye(3), (views, 1, 1)), np.zeros((views, 3)), np.empty((0, 3)), motion)
+    none = np.empty(0, dtype=np.int64)
+    seen = Observations(none, none, np.empty((0, 2)), LENS.T_cam_body_matrix, LENS.fx)
+    with pytest.raises(DegenerateGeometry):
+        information_on(state, seen, terms, 1.5, np.empty((0, 2, SIZE)))
+    fit = CameraFit.started(LENS, KnownCamera(LENS, 0.01))
+    rows = [RowMotion(np.empty(0), np.zeros(3), np.zeros(3))] * views
+    assert fit.improved(state, seen, terms, rows, 1.5) is fit
