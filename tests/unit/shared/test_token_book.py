@@ -114,11 +114,13 @@ def test_a_clock_that_was_set_back_makes_no_link_last(tmp_path: Path) -> None:
     book = TokenBook.create(tmp_path)
     anna = book.add("anna", Role.DRIVE, 0.0)
     record = book.find(anna.text, 90_000.0)
-    assert record is not None
+    assert record is not None and record.name == "anna"
     link = book.add_for(record, "link", 90_000.0, 600.0)
-    assert book.find(link.text, 90_001.0) is not None and book.find(link.text, 90_600.0) is None
+    found = book.find(link.text, 90_001.0)
+    assert found is not None and (found.kind, found.name) == ("link", "anna")
+    assert book.find(link.text, 90_600.0) is None
     assert book.find(link.text, 80_000.0) is None
-    assert book.find(anna.text, 80_000.0) is not None
+    assert book.find(anna.text, 80_000.0) == record  # her token has no end, whatever the clock
 
 
 def test_a_token_has_so_many_sessions_then_the_oldest_ends(tmp_path: Path) -> None:

@@ -235,7 +235,7 @@ def test_what_is_told_counts_once_where_the_fit_corrects_it(noise_px: float) -> 
     drive = make_drive(9, LENS, float(error[4]), noise_px)
     camera = told(error)
     fit = rounds(drive, CameraFit.started(camera, KnownCamera(camera, 0.01)), 2)
-    assert fit.sigma is not None
+    assert fit.sigma is not None and (fit.sigma < TOLD_SIGMA).all()
     again = corrected(camera, fit.judged())
     assert again.camera.fx == pytest.approx(fit.camera.fx, rel=1e-9)
     assert np.allclose(again.camera.T_body_cam_matrix[:3, :3], fit.camera.T_body_cam_matrix[:3, :3], atol=1e-9)
@@ -260,7 +260,8 @@ def test_a_map_that_knows_the_camera_worse_than_the_drive_before_it_leaves_it() 
     drive = make_drive(4, LENS, 0.0, 30.0)
     before = CameraFit.started(LENS, KnownCamera(LENS, 1e-5))
     assert rounds(drive, before, 1) is before
-    assert rounds(drive, CameraFit.started(LENS, KnownCamera(LENS, 0.01)), 1).sigma is not None
+    after = rounds(drive, CameraFit.started(LENS, KnownCamera(LENS, 0.01)), 1)
+    assert after.sigma is not None and 1e-5 < after.sigma[0] < 0.01
 
 
 def test_a_map_whose_equations_leave_velocities_open_leaves_the_camera() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shared.calibration import REFERENCE_ROBOT
+from shared.calibration import REFERENCE_CAMERA, REFERENCE_ROBOT
 from station.model.calibration_fit import FITS, MISFITS, UNKNOWN, CalibrationFit, contradicted, judge
 from station.model.navigation import NavigationReport
 from station.slam.ukf import finish
@@ -46,12 +46,11 @@ def test_a_map_that_knows_nothing_of_its_camera_does_not_silence_the_windows(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     assert (NOTHING_SURE.verdict, RIGHT.verdict, WRONG.verdict) == (UNKNOWN, FITS, MISFITS) and AT_ODDS.is_contradicted
-    assert REFERENCE_ROBOT.camera is not None
     made: Any = SimpleNamespace(
         calibration=REFERENCE_ROBOT, keyframes=(), landmarks=(), fit=by_map, facts={}, messages=[]
     )
     monkeypatch.setattr(finish, "_from_views", lambda *_: made)
     memory: Any = SimpleNamespace(calibration_check=SimpleNamespace(finish=lambda: by_windows), poses=PoseLog())
-    camera = CameraModel.of(REFERENCE_ROBOT.camera, 1.0)
+    camera = CameraModel.of(REFERENCE_CAMERA, 1.0)
     navigation = finish.make_navigation("one", memory, camera, REFERENCE_ROBOT, UkfConfig(), REPORT, None)
     assert navigation.report.calibration_fit == expected
