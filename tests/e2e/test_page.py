@@ -15,7 +15,7 @@ from tests.support.page import drive_by_key
 from tests.support.paths import ROOT
 from tests.support.station import store_map
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(400), pytest.mark.asyncio(loop_scope="module")]
+pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="module")]
 DIST = ROOT / "station" / "web" / "dist"
 
 

@@ -20,7 +20,7 @@ from tests.support.link import Bench, running_robot, until
 from tests.support.page import drive_by_key
 from tests.support.station import Film
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(400), pytest.mark.asyncio(loop_scope="module")]
+pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="module")]
 
 
 @pytest_asyncio.fixture(loop_scope="module")

@@ -14,7 +14,7 @@ from tests.support.station import Film
 # More shades than black and its opacity.
 IS_DRAWN = "canvas => new Set(canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data).size > 2"
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(900), pytest.mark.asyncio(loop_scope="module")]
+pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="module")]
 
 
 async def test_a_camera_is_calibrated_on_a_phone_used_and_undone(browser: Browser, tmp_path: Path) -> None:

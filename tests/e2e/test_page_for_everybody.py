@@ -13,7 +13,7 @@ from tests.support.paths import ROOT
 from tests.support.station import store_map
 from tests.support.station_at_work import keep_navigation
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(900), pytest.mark.asyncio(loop_scope="module")]
+pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="module")]
 AXE = ROOT / "station" / "web" / "node_modules" / "axe-core" / "axe.min.js"
 
 

@@ -15,7 +15,7 @@ from tests.support.link import WAIT_S, until
 from tests.support.station import store_map
 from tests.support.station_at_work import keep_navigation
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(900), pytest.mark.asyncio(loop_scope="module")]
+pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="module")]
 
 
 async def download(page: Page, link: str) -> bytes:

@@ -17,7 +17,7 @@ from tests.support.openapi import furnish
 from tests.support.station import store_map
 from tests.support.station_at_work import keep_navigation
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(900), pytest.mark.asyncio(loop_scope="module")]
+pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="module")]
 
 
 async def box(page: Page, selector: str) -> tuple[float, float, float, float]:

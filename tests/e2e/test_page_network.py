@@ -10,7 +10,7 @@ from tests.e2e.conftest import LAPTOP, Room
 from tests.support.fault_proxy import FaultProxy
 from tests.support.link import until
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(400), pytest.mark.asyncio(loop_scope="module")]
+pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="module")]
 
 NEW_PICTURE = "seq => Number(document.querySelector('#video').dataset.seq) > seq"
 SEQ = "Number(document.querySelector('#video').dataset.seq)"

@@ -8,7 +8,7 @@ from playwright.async_api import expect
 from tests.e2e.conftest import Room
 from tests.support.station import store_planned_map
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(400), pytest.mark.asyncio(loop_scope="module")]
+pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="module")]
 
 
 async def test_a_room_is_named_by_clicking_into_it_and_by_a_suggestion(room: Room) -> None:

@@ -14,7 +14,7 @@ from station.model.place_map import PlaceMap
 from tests.e2e.conftest import Room
 from tests.support.station import store_map
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(400), pytest.mark.asyncio(loop_scope="module")]
+pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="module")]
 
 
 LISTS = ("/maps", "/navigations", "/log", "/place/timeline")

@@ -31,7 +31,7 @@ from station.demo.judge import align_map, carried, is_right
 from station.demo.processes import Programs
 from tests.e2e.conftest import LAPTOP
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+pytestmark = pytest.mark.slow
 MOVED_M = 0.15
 TURNED_RAD = 0.5
 

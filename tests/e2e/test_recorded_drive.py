@@ -21,7 +21,7 @@ from station.workers.repeatable import repeatable
 from station.workers.replay import ReplayOptions, follow, locate
 from tests.support.paths import RECORDINGS
 
-pytestmark = [pytest.mark.computing, pytest.mark.slow, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.computing, pytest.mark.slow]
 
 
 def truth_of(data: Dataset) -> Trajectory:

@@ -68,7 +68,6 @@ def test_flight_gets_metres_and_gravity_from_its_imu() -> None:
     assert absolute_trajectory_error(nav.trajectory, truth, "sim3").alignment.scale == pytest.approx(1.0, abs=0.05)
 
 
-@pytest.mark.timeout(900)  # rendered and mapped behind all else that is tested at the same time
 def test_simulated_drive_holds_together_and_is_metric(tmp_path: Path) -> None:
     from typer.testing import CliRunner
 

@@ -32,8 +32,6 @@ from station.slam.run import Events, run_backend
 from station.slam.ukf.backend import UkfBackend
 from station.slam.ukf.monitor import CONTRADICTION, TrackingMonitor
 
-pytestmark = pytest.mark.timeout(900)  # rendered and mapped behind all else that is tested at the same time
-
 DARK_AFTER_NS, DARK_NS = 8 * 10**9, 2 * 10**9  # under a hand, after which tracking is lost
 LATER_MS = 110.0  # in the order of the stamps this drive is lost; 20 ms after them it would be borne
 

@@ -23,7 +23,6 @@ from tests.support.access import guarded_station
 from tests.support.link import linked, running_robot, until
 from tests.support.station_at_work import at_work, drive_off, is_problem, wait_for
 
-pytestmark = pytest.mark.timeout(300)
 LENS = {"camera": {"intrinsics": [1001.5, 1002.5, 321.0, 241.0], "time_shift_s": -0.0125}}
 
 

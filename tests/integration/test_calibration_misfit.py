@@ -54,7 +54,6 @@ def test_a_real_flight_says_whether_its_focal_length_is_right(focal: float, verd
     assert (fit.sentence in messages) == (verdict == "does not fit")
 
 
-@pytest.mark.timeout(600)
 async def test_a_misfit_is_told_by_the_robots_call_and_once_in_the_log(tmp_path: Path) -> None:
     async with at_work(tmp_path, backend="tests.support.made_up_workers:MisfitSlam") as (desk, _, _):
         http = desk.http

@@ -15,7 +15,6 @@ from tests.support.link import linked, until
 from tests.support.station import running_station
 from tests.support.station_at_work import drive_off, is_problem, wait_for
 
-pytestmark = pytest.mark.timeout(600)
 ORDER = {"kind": "camera", "target": {"kind": "aprilgrid", "size": "A4"}}
 
 

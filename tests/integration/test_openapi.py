@@ -8,12 +8,9 @@ from __future__ import annotations
 import asyncio
 from pathlib import Path
 
-import pytest
-
 from tests.support.openapi import ENDLESS, ask_everything, furnish
 from tests.support.station_at_work import at_work
 
-pytestmark = pytest.mark.timeout(900)
 EXAMPLES = 4  # of each kind, per call
 # Of some 100 calls: those that may only refuse, in the state that the calls before leave. Other tests see them succeed;
 # ten are of a guided calibration, with and without the robot's name (test_guided_calibration.py).

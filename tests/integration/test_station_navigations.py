@@ -18,8 +18,6 @@ from tests.support.link import until
 from tests.support.station import Desk, Film, running_station, store_map
 from tests.support.station_at_work import at_work, is_problem, keep_navigation, wait_for
 
-pytestmark = pytest.mark.timeout(600)
-
 
 async def record(desk: Desk, film: Film, name: str, pictures: int = 8) -> str:
     """A navigation that is over, with its recording."""

@@ -9,8 +9,6 @@ import sqlite3
 import sys
 from pathlib import Path
 
-import pytest
-
 from station.files.navigation_folder import save_navigation
 from station.library.navigation_records import NavigationLibrary, NavigationRecord
 from station.maps.store import MapStore
@@ -20,7 +18,6 @@ from tests.support.station import running_station, store_map
 from tests.support.station_at_work import at_work, is_problem, wait_for
 from tests.support.store import rename_place
 
-pytestmark = pytest.mark.timeout(600)
 NAMED = "Sofa"
 
 
