@@ -15,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from shared.disk import remove_scratch
 from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
 from station.access.visitors import open_access
@@ -431,7 +432,8 @@ class Station:
             self.events.notify("map", f"the bin could not be looked through: {exc}", "warning")
 
     async def _tidy_up(self, interrupted: list[NavigationRecord]) -> None:
-        """Recover what the station's end cut off, then remove what is beyond the limits."""
+        """Remove what a killed station left half-written, recover what it cut off, remove what is beyond the limits."""
+        await asyncio.to_thread(remove_scratch, self.config.data_dir)
         await recover_recordings(self.navigations, interrupted, self.events)
         await retain_recordings(self.navigations.library, self.config.recordings, self.events)
 

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from shared.disk import make_folder, replace_file
+from shared.disk import make_folder, replace_file, settle_folders
 from shared.errors import DataError
 from shared.text import PRINTABLE
 from station.errors import Unknown
@@ -77,6 +77,7 @@ class NavigationLibrary:
             self.unwritable = str(cannot_write(self._root, told))
         folders = [path for path in here if _ID.fullmatch(path.name) and path.is_dir()]
         for folder in folders:
+            settle_folders(folder)
             try:
                 navigation = _read_record(folder)
             except (OSError, msgspec.DecodeError):

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import websockets
 
+from shared.disk import SCRATCH
 from shared.listening import bind
 from station.model.map_store import StoreAddress
 from station.workers.jobs import JobWorker
@@ -246,6 +247,17 @@ async def test_the_active_map_is_still_active_after_a_restart(tmp_path: Path) ->
     async with running_station(1, tmp_path) as desk:
         assert (await desk.http.get("/place/current")).json()["map"] == place_map.id
         assert len((await desk.http.get("/places")).json()) == len(place_map.places)
+
+
+async def test_what_a_killed_station_left_half_written_is_removed_at_the_next_start(tmp_path: Path) -> None:
+    left = [
+        tmp_path / part / f"{SCRATCH}0123456789abcdef" for part in ("access", "maps/blobs/ab", "calibrations/cal-1")
+    ]
+    for path in left:
+        path.parent.mkdir(parents=True)
+        path.write_bytes(b"half")
+    async with running_station(1, tmp_path):
+        await until(lambda: not any(path.exists() for path in left))
 
 
 async def test_a_drive_too_short_to_map_says_so(tmp_path: Path) -> None:
