@@ -15,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from shared.bounded import shown
 from shared.disk import remove_scratch
 from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
@@ -155,7 +156,7 @@ class Station:
     def robot(self, name: str) -> RobotSession:
         """Raises Unknown."""
         if name not in self.robots:
-            raise Unknown(f"this station has no robot {name!r}; GET /robots lists them")
+            raise Unknown(f"this station has no robot {shown(name)}; GET /robots lists them")
         return self.robots[name]
 
     def stop(self) -> None:

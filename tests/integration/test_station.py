@@ -50,6 +50,34 @@ async def test_every_error_is_a_problem_document(tmp_path: Path) -> None:
         assert is_problem(await http.get("/robot", headers={"Origin": "http://elsewhere.example"}), 403)
 
 
+async def test_what_was_asked_at_length_is_answered_in_short(tmp_path: Path) -> None:
+    long, kind = "n" * 20_000, {"Content-Type": "application/json"}
+    store_map(tmp_path)
+    async with running_station(1, tmp_path) as desk:
+        http = desk.http
+        map_id = (await http.get("/maps")).json()[0]["id"]
+        assert (await http.put("/maps/active", json={"id": map_id})).status_code == 200
+        for answer in (
+            await http.get(f"/navigations/{long}"),
+            await http.get(f"/robots/{long}/robot"),
+            await http.get(f"/jobs/{long}"),
+            await http.get(f"/{long}"),
+            await http.delete(f"/maps/{long}"),
+            await http.delete(f"/robot/{long}"),
+            await http.get(f"/graph/route?start={long}&goal={long}"),
+            await http.patch(f"/rooms/{long}", json={"name": "Kitchen"}),
+            await http.patch(f"/places/{long}", json={"name": "Kitchen"}),
+            await http.put("/maps/active", json={"id": long}),
+            await http.post("/places/merge", json={"places": [], long: 0}),
+            await http.post("/places/merge", content="x", headers={"Content-Type": long}),
+            await http.get("/places", headers={"Host": long}),
+        ):
+            assert 400 <= answer.status_code < 500 and len(answer.json()["detail"]) < 300, answer.request.url.path[:30]
+        many = {f"k{number}": 0 for number in range(5000)}
+        answer = await http.post("/places/merge", content=json.dumps(many), headers=kind)
+        assert answer.status_code == 422 and len(answer.content) < 5000
+
+
 async def test_a_station_without_robot_and_map_answers_all_it_can(tmp_path: Path) -> None:
     async with running_station(1, tmp_path) as desk:
         place = (await desk.http.get("/place/current")).json()
