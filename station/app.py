@@ -17,7 +17,7 @@ from typing import Any
 
 from shared.bounded import shown
 from shared.disk import remove_scratch
-from shared.errors import RobotSystemError
+from shared.errors import DataError, RobotSystemError
 from shared.geometry import FloatArray
 from station.access.visitors import open_access
 from station.calibration.guidance import GuidedKind
@@ -358,7 +358,11 @@ class Station:
             "navigation": [(navigation.id, navigation.name) for navigation in navigations],
             "map": [(summary.id, summary.name) for summary in maps],
         }
-        await asyncio.to_thread(self.bin.update, there, time.time())
+        try:
+            await asyncio.to_thread(self.bin.update, there, time.time())
+        except DataError as exc:  # what was deleted is, and on a full disk the bin is what there is to empty
+            text = f"when something was deleted will be forgotten at the next start: {exc}"
+            self.events.notify("map", text, "warning")
         self.events.changed("bin")
 
     async def rename_place(self, place_id: str, name: str) -> Place:

@@ -183,9 +183,14 @@ class NavigationLibrary:
         return navigation
 
     def purge(self, navigation_id: str) -> None:
-        """Delete a deleted navigation's files for good."""
+        """Delete a deleted navigation's files for good. Raises Unwritable."""
         self.folder(navigation_id)  # its id is no path
-        shutil.rmtree(self._root / BIN / navigation_id, ignore_errors=True)
+        try:
+            shutil.rmtree(self._root / BIN / navigation_id)
+        except FileNotFoundError:
+            pass
+        except OSError as exc:
+            raise cannot_write(self._root, exc) from exc
 
     def discard(self, navigation_id: str) -> None:
         """Remove the files of a navigation that is not known, or not any more."""
