@@ -16,6 +16,7 @@ from shared.access import GuessLimit, Role
 from shared.advice import complete, option
 from shared.certificates import open_identity
 from shared.discovery import DEFAULT_PORT
+from shared.disk import remove_scratch
 from shared.errors import ConfigError, LocalProtocolError
 from shared.listening import is_loopback
 from shared.messages import (
@@ -88,6 +89,7 @@ class Gate:
     def __init__(self, folder: Path, now_s: Callable[[], float] = time.time) -> None:
         """Raises ConfigError: not set up."""
         identity = open_identity(folder)
+        remove_scratch(folder)
         self.book = TokenBook(folder)
         self.fingerprint = identity.fingerprint
         self.context: ssl.SSLContext = identity.server_context()

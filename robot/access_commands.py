@@ -16,6 +16,7 @@ from robot.config import load_config
 from robot.pairing import CODE_LIFE_S
 from shared.access import Role
 from shared.certificates import CERTIFICATE_NAME, make_identity, show_fingerprint
+from shared.discovery import DEFAULT_PORT
 from shared.pairing import show_code
 from shared.token_book import TokenBook
 from shared.token_lines import revoke_token, show_tokens
@@ -27,7 +28,7 @@ access = typer.Typer(no_args_is_help=True, help="Who may connect to this robot."
 cli.add_typer(access, name="access")
 
 Folder = Annotated[Path | None, typer.Option(help="Where key and tokens are; else as in --config.")]
-Config = Annotated[Path | None, typer.Option(help="robot-server's TOML file, for its access.folder.")]
+Config = Annotated[Path | None, typer.Option(help="robot-server's TOML file, for its access.folder and port.")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object as the last line.")]
 
 
@@ -60,7 +61,8 @@ def pair(
     if as_json:
         print(json.dumps({"code": show_code(code), "seconds": CODE_LIFE_S, "fingerprint": gate.fingerprint.hex()}))
         return
-    print(pairing_sentence(code))
+    port = DEFAULT_PORT if config is None else load_config(config, {}).server.port or DEFAULT_PORT
+    print(pairing_sentence(code, port=port))
 
 
 @access.command("list")

@@ -11,7 +11,7 @@ import msgspec
 from robot.config import RobotConfig
 from shared.calibration import Calibration, CameraCalibration
 from shared.calibration_yaml import calibration_text, read_calibration, read_previous
-from shared.disk import make_folder, replace_file
+from shared.disk import make_folder, remove_scratch, replace_file
 from shared.errors import ConfigError, DataError
 from shared.messages import CalibrationOrigin
 
@@ -49,6 +49,8 @@ class OwnCalibration:
         self._previous: Calibration | None = None
         self._is_given = False
         self.current = came_with
+        if folder is not None:
+            remove_scratch(folder)
         if folder is not None and (own := read_own(folder)) is not None:
             self._check(own, f"{folder / FILE}: ")
             self.current, self._is_given = self._as_built(own), True

@@ -24,17 +24,19 @@ install_missing() {
 # once, not by every program anew.
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 OPENCV_FOR_THREADS_NUM=1
 unset PYTHONDONTWRITEBYTECODE
+# As a module: of a program that is a file, every process that multiprocessing starts runs the file's imports again.
+pytest=($bin/python -m pytest)
 if [ $# -gt 0 ]; then
   install_missing
   scripts/lint.sh
-  exec $bin/pytest -m "not hardware" "$@"
+  exec "${pytest[@]}" -m "not hardware" "$@"
 fi
 
 # Five processes side by side, so that one computes while others wait. Whole robots go by the clock, and are judged by
 # how often they know their place in time: all else gives way to them, and what only computes to all. Browsers come after
 # them. Sockets are most of the tests and mostly wait: two halves. What those in the background say comes when the one
 # that is seen has ended.
-run=($bin/pytest --durations=15)
+run=("${pytest[@]}" --durations=15)
 by_the_clock="not hardware and not computing"
 said=$(mktemp -d)
 pids=()

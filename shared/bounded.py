@@ -143,6 +143,11 @@ def shown(value: object) -> str:
         text = repr(value)
     except ValueError:  # Python writes no integer of more than 4300 digits
         text = f"a {type(value).__name__} too long to write"
+    return shortened(text)
+
+
+def shortened(text: str) -> str:
+    """As much of a text as a message shows."""
     return text if len(text) <= SHOWN_CHARACTERS else f"{text[:SHOWN_CHARACTERS]}…"
 
 

@@ -6,6 +6,7 @@ import contextlib
 import fcntl
 import math
 import os
+import re
 import secrets
 import shutil
 import tempfile
@@ -15,6 +16,8 @@ from pathlib import Path
 from typing import IO, BinaryIO
 
 SCRATCH = ".part-"  # what a killed writer leaves behind begins with this
+_OUR_SCRATCH = re.compile(re.escape(SCRATCH) + "[0-9a-f]{16}")
+_NEW, _BEFORE = ".new-", "before"
 PRIVATE = 0o600  # the mode of a file that only its owner may read
 _LOOK_AGAIN_S = 0.05
 _ON_DISK = Path("/var/tmp")  # /tmp may be memory itself  # noqa: S108  # nosec B108
@@ -63,20 +66,52 @@ def replacing(path: Path, *, scratch: Path | None = None, mode: int = 0o666) -> 
 def _taking_name(path: Path, scratch: Path | None, mode: int) -> Iterator[BinaryIO]:
     """As `replacing`, but a power cut may still bring the old file back."""
     if scratch is None:
-        scratch = path.with_name(f"{SCRATCH}{secrets.token_hex(8)}")
+        scratch, descriptor = _new_scratch(path, mode)
     else:
         scratch.unlink(missing_ok=True)
-    descriptor = os.open(scratch, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+        descriptor = os.open(scratch, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
     try:
         with os.fdopen(descriptor, "wb") as file:
             yield file
             file.flush()
             os.fsync(descriptor)
-        scratch.replace(path)
+            scratch.replace(path)  # while it is locked
     except BaseException:
         with contextlib.suppress(OSError):
             scratch.unlink(missing_ok=True)
         raise
+
+
+def _new_scratch(path: Path, mode: int) -> tuple[Path, int]:
+    """A new file beside `path`, and its descriptor; locked until that is closed, so that `remove_scratch` leaves it."""
+    while True:
+        scratch = path.with_name(f"{SCRATCH}{secrets.token_hex(8)}")
+        descriptor = os.open(scratch, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+        _lock_where_possible(descriptor)
+        if scratch.exists():
+            return scratch, descriptor
+        os.close(descriptor)  # it was removed before it was locked
+
+
+def remove_scratch(root: Path) -> None:
+    """Remove the files that killed writers left in a folder and below it, at a program's start.
+
+    What is being written stays, and what cannot be removed.
+    """
+    for folder, _, names in os.walk(root):
+        for name in names:
+            if _OUR_SCRATCH.fullmatch(name):
+                with contextlib.suppress(OSError):
+                    _remove_unless_locked(Path(folder, name))
+
+
+def _remove_unless_locked(scratch: Path) -> None:
+    descriptor = os.open(scratch, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        scratch.unlink()
+    finally:
+        os.close(descriptor)
 
 
 def replace_file(path: Path, content: bytes, *, scratch: Path | None = None, mode: int = 0o666) -> None:
@@ -98,27 +133,58 @@ def replace_files(contents: Mapping[Path, bytes], *, mode: int = 0o666) -> None:
 def replacing_folder(folder: Path) -> Iterator[Path]:
     """A new folder to fill, which takes the place of `folder` when the block ends and then survives a power cut.
 
-    Where the block raises, or the new one cannot take the name, the old one stays.
+    Where the block raises, or the new one cannot take the name, the old one stays. Where the program is killed while
+    the two exchange their name, `settle_folders` gives it back to the old one.
     """
-    scratch = Path(tempfile.mkdtemp(prefix=".new-", dir=folder.parent))
-    fresh, old = scratch / "fresh", scratch / "old"
+    scratch = Path(tempfile.mkdtemp(prefix=_NEW, dir=folder.parent))
+    fresh, old = scratch / "fresh", scratch / _BEFORE / folder.name
     try:
-        fresh.mkdir()
-        yield fresh
-        for path in (fresh, *fresh.rglob("*")):
-            flush(path)
-        had_one = folder.exists()
-        if had_one:
-            folder.rename(old)
-        try:
-            fresh.rename(folder)
-        except OSError:
+        with _opened(scratch) as descriptor:
+            _lock_where_possible(descriptor)
+            fresh.mkdir()
+            yield fresh
+            for path in (fresh, *fresh.rglob("*")):
+                flush(path)
+            had_one = folder.exists()
             if had_one:
-                old.rename(folder)
-            raise
-        flush(folder.parent)
+                old.parent.mkdir()
+                folder.rename(old)
+            try:
+                fresh.rename(folder)
+            except OSError:
+                if had_one:
+                    old.rename(folder)
+                raise
+            flush(folder.parent)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
+
+
+def settle_folders(parent: Path) -> None:
+    """Put right what killed programs left of `replacing_folder` in this folder. What is being written stays."""
+    for scratch in parent.glob(f"{_NEW}*"):
+        with contextlib.suppress(OSError), _opened(scratch) as descriptor:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            for old in (scratch / _BEFORE).glob("*"):
+                if not (parent / old.name).exists():
+                    old.rename(parent / old.name)
+                    flush(parent)
+            shutil.rmtree(scratch)
+
+
+@contextlib.contextmanager
+def _opened(folder: Path) -> Iterator[int]:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+def _lock_where_possible(descriptor: int) -> None:
+    """So that a program which starts leaves it. Some network disks lock nothing; there nothing is removed either."""
+    with contextlib.suppress(OSError):
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
 
 
 def lock(file: IO[bytes], *, shared: bool = False, timeout_s: float = math.inf) -> bool:

@@ -47,6 +47,10 @@ def _require(name: str, value: float, limit: float) -> None:
         raise ValueError(f"{name} {value} is outside -{limit}..{limit}")
 
 
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
 class _Message(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", gc=False):
     """Base of all messages. Unknown fields are ignored, so that a later release may add some."""
 
@@ -63,6 +67,10 @@ class Capabilities(msgspec.Struct, frozen=True, kw_only=True):
     hijack: bool  # only simulated robots can be picked up by a message
     max_linear_m_s: float = 0.5
     max_angular_rad_s: float = 2.0
+
+    def __post_init__(self) -> None:
+        _require("max_linear_m_s", self.max_linear_m_s, MAX_LINEAR_M_S)
+        _require("max_angular_rad_s", self.max_angular_rad_s, MAX_ANGULAR_RAD_S)
 
 
 class CalibrationOrigin(msgspec.Struct, frozen=True, kw_only=True):
@@ -357,12 +365,14 @@ class DriveApplied(_Message, frozen=True, kw_only=True, omit_defaults=True, tag=
     tilt: float = 0.0  # rad, positive up
 
     def __post_init__(self) -> None:
+        if not (math.isfinite(self.linear) and math.isfinite(self.angular)):
+            raise ValueError(f"({self.linear} m/s, {self.angular} rad/s) is no motion")
         _require("pan", self.pan, math.pi)
         _require("tilt", self.tilt, math.pi)
 
 
 class Status(_Message, frozen=True, kw_only=True, tag="status"):
-    """How the robot is, once a second. Counts run since robot-server started."""
+    """How the robot is, once a second. Counts run since robot-server started. What is no number is not known."""
 
     t_robot_ns: Time
     uptime_s: float
@@ -385,6 +395,12 @@ class Status(_Message, frozen=True, kw_only=True, tag="status"):
 
     def __post_init__(self) -> None:
         force_setattr(self, "faults", tuple(map(printable, self.faults)))
+        if not math.isfinite(self.uptime_s):
+            force_setattr(self, "uptime_s", 0.0)
+        for name in ("battery_v", "battery_fraction", "cpu_percent"):
+            force_setattr(self, name, _finite(getattr(self, name)))
+        warm = {name: value for name, value in self.temperatures_c.items() if math.isfinite(value)}
+        force_setattr(self, "temperatures_c", warm)
 
 
 ErrorCode = Literal[

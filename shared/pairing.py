@@ -9,6 +9,7 @@ import hmac
 import secrets
 from typing import Literal
 
+from shared.bounded import shown
 from shared.cpace import SHARE_BYTES, generator, multiply, session_key
 from shared.errors import ConfigError, RemoteProtocolError
 
@@ -30,7 +31,7 @@ def parse_code(text: str) -> str:
     """The digits of a code as typed. Raises ConfigError."""
     digits = "".join(c for c in text if c not in " -\t")
     if len(digits) != CODE_DIGITS or not (digits.isascii() and digits.isdecimal()):
-        raise ConfigError(f"{text!r} is no pairing code; it has six digits, for example 123-456")
+        raise ConfigError(f"{shown(text)} is no pairing code; it has six digits, for example 123-456")
     return digits
 
 

@@ -8,6 +8,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from shared.bounded import MAX_JSON_BYTES, Refused, open_file
 from shared.disk import PRIVATE, lock, replacing
 from shared.errors import ConfigError
 
@@ -60,12 +61,17 @@ def _replace(path: Path, content: bytes) -> None:
 
 
 def read_private(path: Path) -> bytes | None:
-    """The content; None: there is no such file. Raises ConfigError when others may read it too."""
+    """The content; None: there is no such file. Raises ConfigError when others may read it too, or it is no file."""
     try:
-        with path.open("rb") as file:
-            if os.fstat(file.fileno()).st_mode & _OTHERS:
+        with open_file(path) as file:
+            status = os.fstat(file.fileno())
+            if status.st_mode & _OTHERS:
                 raise ConfigError(f"{path} holds secrets and others may read it; run: chmod 600 {path}")
-            return file.read()
+            if status.st_size > MAX_JSON_BYTES:
+                raise ConfigError(f"{path} has {status.st_size} bytes, more than such a file ever has; move it away")
+            return file.read(status.st_size)
+    except Refused as exc:
+        raise ConfigError(f"{path} cannot be read: {exc}; put a regular file in its place, or move it away") from exc
     except FileNotFoundError:
         return None
     except OSError as exc:

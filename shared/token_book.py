@@ -11,6 +11,7 @@ from typing import Literal
 import msgspec
 
 from shared.access import Role, Token, is_proof, is_secret_of
+from shared.bounded import shown
 from shared.errors import ConfigError
 from shared.private_files import keep_spare, locked, make_private_folder, read_private, write_private
 from shared.text import is_seen_whole, look_of
@@ -145,7 +146,7 @@ class TokenBook:
         """A new token. Raises ConfigError: a live one has this name already."""
         if not 0 < len(name) <= 64 or not is_seen_whole(name) or name != name.strip():
             raise ConfigError(
-                f"{name!r} is no name for a token; give 1 to 64 characters that can be seen, no space at its ends"
+                f"{shown(name)} is no name for a token; give 1 to 64 characters that can be seen, no space at its ends"
             )
         token = Token.new()
         with self._changing():

@@ -15,7 +15,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from shared.errors import RobotSystemError
+from shared.bounded import shown
+from shared.disk import remove_scratch
+from shared.errors import DataError, RobotSystemError
 from shared.geometry import FloatArray
 from station.access.visitors import open_access
 from station.calibration.guidance import GuidedKind
@@ -154,7 +156,7 @@ class Station:
     def robot(self, name: str) -> RobotSession:
         """Raises Unknown."""
         if name not in self.robots:
-            raise Unknown(f"this station has no robot {name!r}; GET /robots lists them")
+            raise Unknown(f"this station has no robot {shown(name)}; GET /robots lists them")
         return self.robots[name]
 
     def stop(self) -> None:
@@ -356,7 +358,11 @@ class Station:
             "navigation": [(navigation.id, navigation.name) for navigation in navigations],
             "map": [(summary.id, summary.name) for summary in maps],
         }
-        await asyncio.to_thread(self.bin.update, there, time.time())
+        try:
+            await asyncio.to_thread(self.bin.update, there, time.time())
+        except DataError as exc:  # what was deleted is, and on a full disk the bin is what there is to empty
+            text = f"when something was deleted will be forgotten at the next start: {exc}"
+            self.events.notify("map", text, "warning")
         self.events.changed("bin")
 
     async def rename_place(self, place_id: str, name: str) -> Place:
@@ -431,7 +437,8 @@ class Station:
             self.events.notify("map", f"the bin could not be looked through: {exc}", "warning")
 
     async def _tidy_up(self, interrupted: list[NavigationRecord]) -> None:
-        """Recover what the station's end cut off, then remove what is beyond the limits."""
+        """Remove what a killed station left half-written, recover what it cut off, remove what is beyond the limits."""
+        await asyncio.to_thread(remove_scratch, self.config.data_dir)
         await recover_recordings(self.navigations, interrupted, self.events)
         await retain_recordings(self.navigations.library, self.config.recordings, self.events)
 

@@ -13,6 +13,7 @@ from typing import Any, cast
 from shared.access import Token
 from shared.certificates import HANDSHAKE_WITHIN_S, fingerprint_of_der, pinning_context
 from shared.errors import ConfigError, RobotSystemError
+from shared.listening import is_loopback
 from shared.prompt_sending import UNSENT_COMMAND_BYTES, send_promptly
 from station.access.paired_robots import PairedRobots
 from station.config import show_address
@@ -115,7 +116,7 @@ async def _open(host: str, port: int, needs_tls: Callable[[str], bool]) -> Conne
             raise
         try:
             if needs_tls(str(address[0])):
-                return await _shake_hands(connection, show_address(host, port))
+                return await _shake_hands(connection, show_address(host, port), str(address[0]))
             return Connection(*await _streams(connection))
         except OSError as exc:
             error = exc
@@ -158,15 +159,17 @@ async def _streams(connection: socket.socket, **tls: Any) -> tuple[asyncio.Strea
     return reader, asyncio.StreamWriter(transport, protocol, reader, loop)
 
 
-async def _shake_hands(connection: socket.socket, name: str) -> Connection:
+async def _shake_hands(connection: socket.socket, name: str, address: str) -> Connection:
     try:
         reader, writer = await _streams(
             connection, ssl=pinning_context(), server_hostname="", ssl_handshake_timeout=HANDSHAKE_WITHIN_S
         )
     except (ssl.SSLError, ConnectionResetError, ConnectionAbortedError) as exc:
+        remedy = "run `robot-server access init` on the robot"
+        if is_loopback(address):
+            remedy = "on loopback it needs no pairing, or `[access] folder` in its TOML file"
         raise ConnectionRefused(
-            f"{name} does not speak TLS ({exc}); robot-server there has no access control:"
-            " run `robot-server access init` on the robot (docs/access.md)"
+            f"{name} does not speak TLS ({exc}); robot-server there has no access control: {remedy} (docs/access.md)"
         ) from exc
     der = writer.get_extra_info("ssl_object").getpeercert(binary_form=True)
     return Connection(reader, writer, fingerprint_of_der(der or b""))

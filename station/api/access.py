@@ -10,6 +10,7 @@ from pydantic import Field
 from starlette.requests import Request
 
 from shared.access import Role
+from shared.bounded import shown
 from shared.errors import ConfigError
 from shared.pairing import parse_code
 from station.access.pairing import PairingFailed, pair
@@ -115,7 +116,7 @@ async def revoke(token_id: str, station: StationDep) -> None:
     """What it has open is closed at once."""
     door = station.access.door
     if not await asyncio.to_thread(door.book.revoke, token_id, door.now_s()):
-        raise Unknown(f"there is no token {token_id!r} that may; GET /access/tokens lists them")
+        raise Unknown(f"there is no token {shown(token_id)} that may; GET /access/tokens lists them")
     door.look()
 
 

@@ -6,6 +6,7 @@ import asyncio
 
 from fastapi import APIRouter, Response
 
+from shared.bounded import shown
 from station.api.deps import StationDep
 from station.api.points import BINARY, WantsPly, ply_response, points_response
 from station.api.problems import responses
@@ -44,7 +45,7 @@ async def activate(choice: MapChoice, station: StationDep) -> MapModel | None:
     for summary in await station.maps.list():
         if summary.id == choice.id:
             return map_model(summary, station.maps.active)
-    raise Unknown(f"there is no map {choice.id!r}; GET /maps lists them")
+    raise Unknown(f"there is no map {shown(choice.id)}; GET /maps lists them")
 
 
 @router.patch("/maps/{map_id}", summary="Rename a map", responses=responses(404, 409))

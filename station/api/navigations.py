@@ -7,6 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Body
 from fastapi.responses import FileResponse
 
+from shared.bounded import shown
 from station.api.deps import RobotDep, StationDep
 from station.api.problems import responses
 from station.api.schema.base import NewName
@@ -97,7 +98,7 @@ async def download(navigation_id: str, name: str, station: StationDep) -> FileRe
     elif name in DOWNLOADS:
         path = folder / "navigation" / name
     else:
-        raise Unknown(f"there is no file {name!r}; recording.mcap, {' and '.join(DOWNLOADS)} can be downloaded")
+        raise Unknown(f"there is no file {shown(name)}; recording.mcap, {' and '.join(DOWNLOADS)} can be downloaded")
     if navigation.state == "recording" or not path.is_file():
         raise Conflict(f"{navigation.name} has no {name} now (it is {navigation.state})")
     kind = DOWNLOADS.get(name, "application/octet-stream")

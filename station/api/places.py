@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Response
 
+from shared.bounded import shown
 from station.api.deps import RobotDep, StationDep
 from station.api.problems import responses
 from station.api.schema.jobs import JobModel
@@ -163,7 +164,7 @@ async def route(start: Called, goal: Called, station: StationDep) -> RouteModel:
     place_map = without_hidden(station.maps.active.require_first().place_map)
     for word in (start, goal):
         if not places_called(place_map, word):
-            raise Unknown(f"the graph has no place {word!r}; GET /graph lists them")
+            raise Unknown(f"the graph has no place {shown(word)}; GET /graph lists them")
     found = shortest_route(place_map, start, goal)
     if found is None:
         raise Conflict(f"no edges lead from {start} to {goal}")

@@ -15,6 +15,7 @@ from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection
 
+from shared.bounded import shortened, shown
 from shared.errors import ConfigError, DataError, LocalProtocolError, RobotSystemError
 from station import errors
 from station.api.schema.base import Problem
@@ -39,6 +40,7 @@ KINDS: tuple[tuple[type[RobotSystemError], str, str, int], ...] = (
     (ConfigError, "configuration", "The configuration does not allow it", 409),
     (RobotSystemError, "failed", "It did not work", 500),
 )
+MAX_MISTAKES = 20  # of one request that are said; a body of 1 MiB has room for 80,000
 STATUS_TITLES = {
     400: "Bad request",
     403: "Not allowed",
@@ -99,7 +101,7 @@ def _what_is_wrong(request: Request, error: Mapping[str, Any]) -> str:
         case "json_invalid":
             return f"the body is no JSON ({error['ctx']['error']} at character {error['loc'][-1]})"
         case "model_attributes_type" | "dict_type" if error["loc"] == ("body",) and not _is_json(kind):
-            said = f"says {kind!r}" if kind else "does not say what it is"
+            said = f"says {shown(kind)}" if kind else "does not say what it is"
             return f"the body {said}; send JSON with the header Content-Type: application/json"
         case "model_attributes_type" | "dict_type" if error["loc"] == ("body",):
             return 'the body must be a JSON object, such as {"name": "value"}'
@@ -111,6 +113,11 @@ def _what_is_wrong(request: Request, error: Mapping[str, Any]) -> str:
         case "value_error":
             return str(error["ctx"]["error"])
     return str(error["msg"])
+
+
+def _where(error: Mapping[str, Any]) -> str:
+    """Which field it is; a body may name a field by a million letters."""
+    return ".".join(shortened(str(part)) for part in error["loc"])
 
 
 def _is_json(content_type: str) -> bool:
@@ -136,7 +143,9 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(RequestValidationError)
     async def invalid(request: Request, exc: RequestValidationError) -> JSONResponse:
-        errors = [{"where": ".".join(map(str, e["loc"])), "what": _what_is_wrong(request, e)} for e in exc.errors()]
+        errors = [
+            {"where": _where(error), "what": _what_is_wrong(request, error)} for error in exc.errors()[:MAX_MISTAKES]
+        ]
         detail = "; ".join(f"{e['where'].removeprefix('body.')}: {e['what']}" for e in errors[:5])
         return problem(request, 422, "invalid", "The request is not valid", detail, errors=errors)
 
@@ -145,10 +154,11 @@ def install(app: FastAPI) -> None:
         title = STATUS_TITLES.get(exc.status_code, "The request failed")
         detail = str(exc.detail)
         if exc.status_code == 404 and detail == "Not Found":
-            detail = f"there is nothing at {request.url.path}; /docs lists all calls"
+            detail = f"there is nothing at {shortened(request.url.path)}; /docs lists all calls"
         if exc.status_code == 405:
             allowed = Headers(exc.headers or {}).get("allow", "")
-            detail = f"{request.method} is not possible at {request.url.path}" + (f"; use {allowed}" if allowed else "")
+            what = f"{shortened(request.method)} is not possible at {shortened(request.url.path)}"
+            detail = what + (f"; use {allowed}" if allowed else "")
         answer = problem(request, exc.status_code, title.lower().replace(" ", "-"), title, detail)
         for name, value in (exc.headers or {}).items():
             answer.headers[name] = value

@@ -8,6 +8,7 @@ from urllib.parse import urlsplit
 
 from starlette.requests import HTTPConnection
 
+from shared.bounded import shown
 from shared.listening import is_loopback
 from station.config import ApiConfig
 from station.errors import NotAllowed
@@ -30,7 +31,7 @@ def check_site(connection: HTTPConnection, api: ApiConfig, *, speaks_tls: bool) 
     host = headers.get("host", "")
     if not _is_ours(host, api):
         raise NotAllowed(
-            f"this station does not go by the name {host!r}; put it into allowed_hosts under [api] if it shall"
+            f"this station does not go by the name {shown(host)}; put it into allowed_hosts under [api] if it shall"
         )
     origin = headers.get("origin")
     if origin is not None and not _is_our_page(origin, host, speaks_tls):

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from station.calibration.bundle import residuals
 from station.calibration.camera import CameraFit, covered_cells
+
+if TYPE_CHECKING:  # a worker that draws imports it, not all that are forked
+    from matplotlib.figure import Figure
 
 MAGNIFIED = 100.0  # residuals against the image
 
@@ -20,6 +23,8 @@ def write_camera_page(found: CameraFit, path: Path) -> None:
 
 def draw_camera_page(found: CameraFit) -> Figure:
     """Residuals over the image, its coverage, and how well each lens model foretells unseen images."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(12, 4.2), layout="constrained")
     map_axes, cover_axes, lens_axes = figure.subplots(1, 3, width_ratios=(2.0, 1.4, 1.0))
     width, height = found.size

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import cv2
 import numpy as np
-from matplotlib.collections import PolyCollection
-from matplotlib.figure import Figure
 
 from shared.errors import ConfigError
 from shared.geometry import FloatArray
@@ -23,6 +21,9 @@ from station.calibration.dictionaries import (
 )
 from station.calibration.target import Target, TargetKind
 from station.vision.lens import BoolArray
+
+if TYPE_CHECKING:  # a worker that draws imports it, not all that are forked
+    from matplotlib.figure import Figure
 
 PageSize = Literal["A4", "A3", "Letter"]
 PAGE_SIZES: tuple[str, ...] = get_args(PageSize)
@@ -68,6 +69,9 @@ def write_page(target: Target, size: PageSize, path: Path) -> None:
 
 def draw_page(target: Target, size: PageSize) -> Figure:
     """The page as a figure, whose axes are millimetres from the lower left corner of the paper."""
+    from matplotlib.collections import PolyCollection
+    from matplotlib.figure import Figure
+
     width_mm, height_mm = PAGE_MM[size]
     figure = Figure(figsize=(width_mm / 25.4, height_mm / 25.4))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))

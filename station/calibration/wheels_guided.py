@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING, Any
 
 from station.calibration.target import Target
 from station.calibration.wheels import Factor, Wheels, calibrate_wheels
 from station.datasets import open_dataset
+
+if TYPE_CHECKING:  # a worker that draws imports it, not all that are forked
+    from matplotlib.figure import Figure
 
 
 def estimate_wheels(
@@ -51,6 +52,8 @@ def _factor(factor: Factor | None) -> dict[str, Any] | None:
 
 def draw_moves(found: Wheels) -> Figure:
     """What came of each command: straight ways to the left, turns to the right."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     ways, turns = figure.subplots(1, 2)
     drives = [(move.linear_m, move.went_m) for move in found.moves if move.is_drive and move.went_m is not None]

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from shared.bounded import shown
 from station.errors import Conflict, Unknown
 from station.model.floor_plan import Door, FloorPlan, Room
 from station.model.place_map import Place, PlaceMap
@@ -32,7 +33,7 @@ class ActiveMap:
         for place in self.place_map.places:
             if place.id == place_id:
                 return place
-        raise Unknown(f"the active map has no place {place_id!r}; GET /places lists them")
+        raise Unknown(f"the active map has no place {shown(place_id)}; GET /places lists them")
 
     def require_plan(self) -> FloorPlan:
         """Raises Conflict: it was made before there were plans, or of nothing that shows a floor."""
@@ -49,14 +50,14 @@ class ActiveMap:
         for room in self.rooms:
             if room.id == room_id:
                 return room
-        raise Unknown(f"the active map has no room {room_id!r}; GET /rooms lists them")
+        raise Unknown(f"the active map has no room {shown(room_id)}; GET /rooms lists them")
 
     def door(self, door_id: str) -> Door:
         """Raises Unknown."""
         for door in () if self.place_map.plan is None else self.place_map.plan.doors:
             if door.id == door_id:
                 return door
-        raise Unknown(f"the active map has no door {door_id!r}; GET /floorplan lists them")
+        raise Unknown(f"the active map has no door {shown(door_id)}; GET /floorplan lists them")
 
     @property
     def visible_places(self) -> tuple[Place, ...]:

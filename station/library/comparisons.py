@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 
+from shared.bounded import shown
 from shared.errors import DataError
 from station.errors import Unknown
 from station.library.dated_id import free_dated_id
@@ -57,13 +58,13 @@ class Comparisons:
         for comparison in self.list():
             if comparison.id == comparison_id:
                 return comparison
-        raise Unknown(f"there is no comparison {comparison_id!r}; GET /comparisons lists them")
+        raise Unknown(f"there is no comparison {shown(comparison_id)}; GET /comparisons lists them")
 
     def file(self, comparison_id: str, name: str) -> Path:
         """One of FILES. Raises Unknown."""
         self.get(comparison_id)
         if name not in FILES:
-            raise Unknown(f"a comparison has no file {name!r}; it has {' and '.join(FILES)}")
+            raise Unknown(f"a comparison has no file {shown(name)}; it has {' and '.join(FILES)}")
         return self._root / comparison_id / name
 
     def prepare(self) -> tuple[str, Path]:

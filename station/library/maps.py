@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import partial
 
 from shared.advice import complete
+from shared.bounded import shown
 from shared.errors import RobotSystemError
 from shared.geometry import FloatArray
 from station.errors import Conflict, Unknown
@@ -130,7 +131,7 @@ class Maps:
     async def restore(self, map_id: str) -> MapSummary:
         """Take a map out of the bin. Raises Unknown."""
         if map_id not in {summary.id for summary in await self.deleted()}:
-            raise Unknown(f"there is no deleted map {map_id!r}; GET /bin lists what can be restored")
+            raise Unknown(f"there is no deleted map {shown(map_id)}; GET /bin lists what can be restored")
         await asyncio.to_thread(self._store.undo, map_id)
         self._events.changed("map")
         return next(summary for summary in await self.list() if summary.id == map_id)
@@ -263,7 +264,7 @@ class Maps:
     async def _require(self, map_id: str) -> None:
         known = {summary.id for summary in await self.list()}
         if map_id not in known:
-            raise Unknown(f"there is no map {map_id!r}; GET /maps lists them")
+            raise Unknown(f"there is no map {shown(map_id)}; GET /maps lists them")
 
 
 def _derive(store: MapStore, map_id: str) -> ActiveMap:

@@ -13,7 +13,8 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from shared.disk import make_folder, replace_file
+from shared.bounded import shown
+from shared.disk import make_folder, replace_file, settle_folders
 from shared.errors import DataError
 from shared.text import PRINTABLE
 from station.errors import Unknown
@@ -77,6 +78,7 @@ class NavigationLibrary:
             self.unwritable = str(cannot_write(self._root, told))
         folders = [path for path in here if _ID.fullmatch(path.name) and path.is_dir()]
         for folder in folders:
+            settle_folders(folder)
             try:
                 navigation = _read_record(folder)
             except (OSError, msgspec.DecodeError):
@@ -103,7 +105,7 @@ class NavigationLibrary:
     def get(self, navigation_id: str) -> NavigationRecord:
         """Raises Unknown."""
         if navigation_id not in self._navigations:
-            raise Unknown(f"there is no navigation {navigation_id!r}; GET /navigations lists them")
+            raise Unknown(f"there is no navigation {shown(navigation_id)}; GET /navigations lists them")
         return self._navigations[navigation_id]
 
     def new_id(self) -> str:
@@ -114,7 +116,7 @@ class NavigationLibrary:
     def folder(self, navigation_id: str) -> Path:
         """Where a navigation's files are."""
         if not _ID.fullmatch(navigation_id):
-            raise Unknown(f"there is no navigation {navigation_id!r}; GET /navigations lists them")
+            raise Unknown(f"there is no navigation {shown(navigation_id)}; GET /navigations lists them")
         return self._root / navigation_id
 
     def navigation_folder(self, navigation_id: str) -> Path:
@@ -172,7 +174,7 @@ class NavigationLibrary:
         """Bring a deleted navigation back. Raises Unknown."""
         navigation = next((navigation for navigation in self.deleted() if navigation.id == navigation_id), None)
         if navigation is None:
-            raise Unknown(f"there is no deleted navigation {navigation_id!r}; GET /bin lists what can be restored")
+            raise Unknown(f"there is no deleted navigation {shown(navigation_id)}; GET /bin lists what can be restored")
         try:
             os.rename(self._root / BIN / navigation_id, self.folder(navigation_id))
         except OSError as exc:
@@ -181,9 +183,14 @@ class NavigationLibrary:
         return navigation
 
     def purge(self, navigation_id: str) -> None:
-        """Delete a deleted navigation's files for good."""
+        """Delete a deleted navigation's files for good. Raises Unwritable."""
         self.folder(navigation_id)  # its id is no path
-        shutil.rmtree(self._root / BIN / navigation_id, ignore_errors=True)
+        try:
+            shutil.rmtree(self._root / BIN / navigation_id)
+        except FileNotFoundError:
+            pass
+        except OSError as exc:
+            raise cannot_write(self._root, exc) from exc
 
     def discard(self, navigation_id: str) -> None:
         """Remove the files of a navigation that is not known, or not any more."""

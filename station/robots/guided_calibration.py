@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from shared.bounded import shown
 from shared.calibration import Calibration
 from shared.disk import make_folder
 from shared.errors import DataError, RobotSystemError
@@ -118,7 +119,7 @@ class GuidedCalibration(LinkListeners):
     def get(self, session_id: str) -> CalibrationSession:
         """Raises Unknown."""
         if self.session is None or self.session.id != session_id:
-            raise Unknown(f"there is no calibration session {session_id!r}; GET /calibration/sessions lists it")
+            raise Unknown(f"there is no calibration session {shown(session_id)}; GET /calibration/sessions lists it")
         return self.session
 
     async def start(self, hello: Hello, kind: GuidedKind, board: Target | PrintedBoard | None) -> CalibrationSession:

@@ -9,6 +9,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Literal
 
+from shared.bounded import shown
 from shared.errors import RobotSystemError
 from station.errors import Conflict, Unknown
 from station.events import Notifier
@@ -55,7 +56,7 @@ class Jobs(Generic[ProgramT]):
     def get(self, job_id: str) -> Job:
         """Raises Unknown."""
         if job_id not in self._jobs:
-            raise Unknown(f"there is no job {job_id!r}; GET /jobs lists them")
+            raise Unknown(f"there is no job {shown(job_id)}; GET /jobs lists them")
         return self._jobs[job_id]
 
     def start(

@@ -268,8 +268,10 @@ def test_beyond_loopback_robots_are_met_by_tls_only(tmp_path: Path) -> None:
 
 async def test_a_robot_without_tls_where_tls_is_needed_is_refused(tmp_path: Path) -> None:
     async with running_robot() as bench:
-        with pytest.raises(ConnectionRefused, match="does not speak TLS"):
+        with pytest.raises(ConnectionRefused, match="does not speak TLS") as refused:
             await connect_by_tls("127.0.0.1", bench.port)
+        assert "on loopback it needs no pairing" in str(refused.value)
+        assert "access init" not in str(refused.value)  # it changes nothing there
 
 
 async def test_a_station_without_tls_gets_no_word_from_a_guarded_robot(tmp_path: Path) -> None:

@@ -73,6 +73,16 @@ async def test_a_person_pairs_a_robot_and_lets_somebody_in(tmp_path: Path) -> No
         assert [token["role"] for token in json.loads(listed.stdout)] == ["drive"]
 
 
+def test_a_code_is_shown_with_the_port_that_the_robot_is_configured_for(tmp_path: Path) -> None:
+    config = tmp_path / "robot.toml"
+    config.write_text(f'[server]\nport = 7456\n[access]\nfolder = "{tmp_path / "robot"}"\n')
+    run, options = CliRunner(), ["--config", str(config)]
+    assert run.invoke(robot.access_commands.cli, ["access", "init", *options]).exit_code == 0
+    assert ".local:7456 --code " in run.invoke(robot.access_commands.cli, ["pair", *options]).stdout
+    by_folder = ["pair", "--folder", str(tmp_path / "robot")]
+    assert ".local --code " in run.invoke(robot.access_commands.cli, by_folder).stdout
+
+
 def test_tokens_are_added_listed_linked_and_revoked_from_the_command_line(tmp_path: Path) -> None:
     run, data = CliRunner(), ["--data", str(tmp_path)]
     first = json.loads(run.invoke(station_app, ["access", "init", *data, "--json"]).stdout)

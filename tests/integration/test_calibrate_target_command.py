@@ -38,3 +38,16 @@ def test_what_cannot_be_written_is_refused_in_a_sentence(tmp_path: Path) -> None
         done = calibrate_target(*options)
         assert done.returncode != 0 and words in done.stderr and "Traceback" not in done.stderr
     assert not list(tmp_path.iterdir())
+
+
+def test_lengths_that_somebody_measured_are_not_overwritten(tmp_path: Path) -> None:
+    page, description = tmp_path / "target.pdf", tmp_path / "target.yaml"
+    assert calibrate_target("--out", str(page)).returncode == 0
+    assert calibrate_target("--out", str(page)).returncode == 0  # the same page again
+    corrected = description.read_text().replace("tagSize: 0.027 ", "tagSize: 0.0265 ")
+    assert corrected != description.read_text()
+    description.write_text(corrected)
+    page.unlink()
+    done = calibrate_target("--out", str(page))
+    assert done.returncode == 1 and f"{description} is there already" in done.stderr
+    assert description.read_text() == corrected and not page.exists()

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import websockets
 
+from shared.disk import SCRATCH
 from shared.listening import bind
 from station.model.map_store import StoreAddress
 from station.workers.jobs import JobWorker
@@ -47,6 +48,34 @@ async def test_every_error_is_a_problem_document(tmp_path: Path) -> None:
         assert is_problem(await http.get("/jobs/none"), 404)
         assert is_problem(await http.post("/robot/hijack", json={"x": 0, "y": 0, "yaw": 0}), 503)
         assert is_problem(await http.get("/robot", headers={"Origin": "http://elsewhere.example"}), 403)
+
+
+async def test_what_was_asked_at_length_is_answered_in_short(tmp_path: Path) -> None:
+    long, kind = "n" * 20_000, {"Content-Type": "application/json"}
+    store_map(tmp_path)
+    async with running_station(1, tmp_path) as desk:
+        http = desk.http
+        map_id = (await http.get("/maps")).json()[0]["id"]
+        assert (await http.put("/maps/active", json={"id": map_id})).status_code == 200
+        for answer in (
+            await http.get(f"/navigations/{long}"),
+            await http.get(f"/robots/{long}/robot"),
+            await http.get(f"/jobs/{long}"),
+            await http.get(f"/{long}"),
+            await http.delete(f"/maps/{long}"),
+            await http.delete(f"/robot/{long}"),
+            await http.get(f"/graph/route?start={long}&goal={long}"),
+            await http.patch(f"/rooms/{long}", json={"name": "Kitchen"}),
+            await http.patch(f"/places/{long}", json={"name": "Kitchen"}),
+            await http.put("/maps/active", json={"id": long}),
+            await http.post("/places/merge", json={"places": [], long: 0}),
+            await http.post("/places/merge", content="x", headers={"Content-Type": long}),
+            await http.get("/places", headers={"Host": long}),
+        ):
+            assert 400 <= answer.status_code < 500 and len(answer.json()["detail"]) < 300, answer.request.url.path[:30]
+        many = {f"k{number}": 0 for number in range(5000)}
+        answer = await http.post("/places/merge", content=json.dumps(many), headers=kind)
+        assert answer.status_code == 422 and len(answer.content) < 5000
 
 
 async def test_a_station_without_robot_and_map_answers_all_it_can(tmp_path: Path) -> None:
@@ -246,6 +275,17 @@ async def test_the_active_map_is_still_active_after_a_restart(tmp_path: Path) ->
     async with running_station(1, tmp_path) as desk:
         assert (await desk.http.get("/place/current")).json()["map"] == place_map.id
         assert len((await desk.http.get("/places")).json()) == len(place_map.places)
+
+
+async def test_what_a_killed_station_left_half_written_is_removed_at_the_next_start(tmp_path: Path) -> None:
+    left = [
+        tmp_path / part / f"{SCRATCH}0123456789abcdef" for part in ("access", "maps/blobs/ab", "calibrations/cal-1")
+    ]
+    for path in left:
+        path.parent.mkdir(parents=True)
+        path.write_bytes(b"half")
+    async with running_station(1, tmp_path):
+        await until(lambda: not any(path.exists() for path in left))
 
 
 async def test_a_drive_too_short_to_map_says_so(tmp_path: Path) -> None:

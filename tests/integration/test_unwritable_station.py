@@ -12,10 +12,10 @@ from pathlib import Path
 from station.files.navigation_folder import save_navigation
 from station.library.navigation_records import NavigationLibrary, NavigationRecord
 from station.maps.store import MapStore
-from tests.support.disk import unwritable
+from tests.support.disk import fill, small_disk, unwritable
 from tests.support.made_up_workers import made_up_navigation
 from tests.support.station import running_station, store_map
-from tests.support.station_at_work import at_work, is_problem, wait_for
+from tests.support.station_at_work import at_work, is_problem, keep_navigation, wait_for
 from tests.support.store import rename_place
 
 NAMED = "Sofa"
@@ -97,3 +97,18 @@ async def test_a_station_on_a_disk_that_takes_no_writes_shows_and_localises_and_
         assert (await desk.http.patch("/navigations/nav-1", json={"name": "other"})).json()["name"] == "other"
     library = NavigationLibrary(tmp_path / "navigations")
     assert library.open() == [] and library.get("nav-1").name == "other"
+
+
+async def test_a_full_disk_is_made_room_on_by_deleting_and_emptying_the_bin(tmp_path: Path) -> None:
+    with small_disk(tmp_path / "disk", "32m") as disk:
+        keep_navigation(disk, "nav-1")
+        async with running_station(1, disk) as desk:
+            fill(disk)
+            assert (await desk.http.delete("/navigations/nav-1")).status_code == 204
+            assert [entry["id"] for entry in (await desk.http.get("/bin")).json()] == ["nav-1"]
+            log = [line["text"] for line in (await desk.http.get("/log")).json()]
+            assert any("when something was deleted will be forgotten" in text for text in log)
+            assert (await desk.http.post("/navigations/nav-1/restore")).status_code == 200
+            assert (await desk.http.delete("/navigations/nav-1")).status_code == 204
+            assert (await desk.http.delete("/bin")).status_code == 204
+            assert (await desk.http.get("/bin")).json() == [] and not list((disk / "navigations" / ".bin").iterdir())

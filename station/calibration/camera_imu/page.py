@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from station.calibration.camera_imu.batch import Solution, within
 from station.calibration.camera_imu.rows import camera_rows, inertial_rows
+
+if TYPE_CHECKING:  # a worker that draws imports it, not all that are forked
+    from matplotlib.figure import Figure
 
 MAGNIFIED = 100.0  # residuals against the image
 
@@ -20,6 +23,8 @@ def write_camera_imu_page(found: Solution, path: Path) -> None:
 
 def draw_camera_imu_page(found: Solution) -> Figure:
     """Residuals of the corners over the image; those of gyroscope and accelerometer over time."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(12, 4.2), layout="constrained")
     map_axes, gyro_axes, accel_axes = figure.subplots(1, 3, width_ratios=(1.3, 1.0, 1.0))
     unknowns, problem = found.unknowns, found.problem

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from station.calibration.imu.sensor import SensorNoise
+
+if TYPE_CHECKING:  # a worker that draws imports it, not all that are forked
+    from matplotlib.axes import Axes
 
 AXIS_COLOURS = {"x": "#D55E00", "y": "#009E73", "z": "#0072B2"}  # Okabe and Ito's: told apart by colour-blind readers
 
 
 def draw_allan(gyro: SensorNoise, accel: SensorNoise, path: Path) -> None:
     """Write a PNG or SVG, by the path's suffix."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(11.0, 4.6), dpi=110, layout="constrained")
     left, right = figure.subplots(1, 2)
     _draw(left, gyro, "gyroscope", "rad/s")

@@ -36,8 +36,14 @@ def target(
     description = out.with_suffix(".yaml")
     check_out_file(description)
     board = page_target(kind, size, columns, rows)
+    described = target_yaml(board)
+    if description.exists() and description.read_bytes() != described.encode("utf-8"):
+        raise DataError(
+            f"{description} is there already and says something else, perhaps lengths that somebody measured;"
+            " choose another name with --out, or remove it"
+        )
     write_page(board, size, out)
-    description.write_text(target_yaml(board), encoding="utf-8")
+    description.write_text(described, encoding="utf-8")
     if as_json:
         print(json.dumps({"page": str(out), "target": str(description), "kind": kind, "square_m": board.square_m}))
         return

@@ -16,11 +16,12 @@ from hypothesis import strategies as st
 
 import robot.access
 import station.api.roles
-from robot.access import open_gate
+from robot.access import Gate, open_gate
 from robot.config import AccessConfig, RobotConfig, ServerConfig
 from robot.pairing import CODE_LIFE_S, MAX_EXCHANGES, TRIES, PairingDesk, PairingRefused
 from shared.access import GuessLimit, Role, Token, is_proof, is_secret_of, prove
 from shared.certificates import make_identity, open_identity
+from shared.disk import SCRATCH
 from shared.errors import ConfigError, LocalProtocolError, RemoteProtocolError
 from shared.listening import is_loopback
 from shared.pairing import Pake, parse_code, show_code
@@ -204,6 +205,14 @@ def test_a_robot_that_starts_leaves_the_code_that_the_installer_showed(tmp_path:
         desk.exchange(Pake("station", first, b"f").message, CODE_LIFE_S)
     later = desk.first_code(CODE_LIFE_S)  # the first one is over
     assert desk.exchange(Pake("station", later, b"f").message, CODE_LIFE_S + 1.0).is_for(later)
+
+
+def test_a_robot_that_starts_removes_what_a_kill_left_half_written(tmp_path: Path) -> None:
+    set_up(tmp_path)
+    before = set(tmp_path.iterdir())
+    (tmp_path / f"{SCRATCH}0123456789abcdef").write_bytes(b"half a book")
+    Gate(tmp_path)
+    assert set(tmp_path.iterdir()) == before
 
 
 def test_an_identity_is_known_again_and_a_new_one_is_another(tmp_path: Path) -> None:

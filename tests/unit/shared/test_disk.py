@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import stat
 import subprocess
@@ -11,7 +12,18 @@ from pathlib import Path
 
 import pytest
 
-from shared.disk import PRIVATE, SCRATCH, lock, make_folder, replace_file, replacing, replacing_folder, unlock
+from shared.disk import (
+    PRIVATE,
+    SCRATCH,
+    lock,
+    make_folder,
+    remove_scratch,
+    replace_file,
+    replacing,
+    replacing_folder,
+    settle_folders,
+    unlock,
+)
 
 OLD, NEW = b"old" * 1000, b"new" * 2000
 
@@ -77,6 +89,41 @@ def test_a_writer_that_is_killed_leaves_the_old_file(tmp_path: Path, scratch: st
     assert (tmp_path / "x").read_bytes() == NEW and not (tmp_path / ".scratch").exists()
 
 
+def killed(script: str, *arguments: Path) -> None:
+    """Run it until it kills itself."""
+    head = "import os, sys; from pathlib import Path; from shared.disk import *; path = Path(sys.argv[1])\n"
+    assert subprocess.run([sys.executable, "-c", head + script, *arguments], check=False).returncode == -9
+
+
+def test_what_a_killed_writer_left_is_removed_and_what_is_being_written_stays(tmp_path: Path) -> None:
+    (tmp_path / "deep").mkdir()
+    killed("with replacing(path) as file: file.write(b'half'); os.kill(os.getpid(), 9)", tmp_path / "deep" / "x")
+    foreign = tmp_path / f"{SCRATCH}of-a-person"
+    foreign.touch()
+    with replacing(tmp_path / "y") as file:
+        file.write(NEW)
+        remove_scratch(tmp_path)
+        assert len(names(tmp_path)) == 3 and not names(tmp_path / "deep")
+    assert (tmp_path / "y").read_bytes() == NEW and names(tmp_path) == [foreign.name, "deep", "y"]
+
+
+def test_a_writer_whose_file_is_taken_for_a_killed_ones_makes_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lock_really, looks = fcntl.flock, iter([True])
+
+    def lock_late(descriptor: int, kind: int) -> None:
+        if next(looks, False):
+            with monkeypatch.context() as others:
+                others.setattr(fcntl, "flock", lock_really)
+                remove_scratch(tmp_path)
+        lock_really(descriptor, kind)
+
+    monkeypatch.setattr(fcntl, "flock", lock_late)
+    replace_file(tmp_path / "x", NEW)
+    assert (tmp_path / "x").read_bytes() == NEW and names(tmp_path) == ["x"]
+
+
 def test_of_several_writers_at_once_one_has_the_whole_file(tmp_path: Path) -> None:
     contents = [bytes([number]) * 100_000 for number in range(8)]
     writers = [threading.Thread(target=replace_file, args=(tmp_path / "x", content)) for content in contents]
@@ -127,6 +174,30 @@ def test_a_folder_that_could_not_be_filled_leaves_the_old_one(tmp_path: Path) ->
     with pytest.raises(ZeroDivisionError), replacing_folder(tmp_path / "f") as fresh:
         (fresh / "new").write_bytes(bytes((fresh / "half").write_bytes(NEW) // 0))
     assert names(tmp_path) == ["f"] and names(tmp_path / "f") == ["old"]
+
+
+@pytest.mark.parametrize("when", ["with replacing_folder(path) as fresh: die()", "rename"])
+def test_a_folder_whose_writer_is_killed_is_the_old_one_again(tmp_path: Path, when: str) -> None:
+    folder = tmp_path / "f"
+    with replacing_folder(folder) as fresh:
+        (fresh / "old").touch()
+    if when == "rename":  # between the two names
+        when = (
+            "rename = Path.rename\n"
+            "Path.rename = lambda *names: (rename(*names), die())\n"
+            "with replacing_folder(path) as fresh: (fresh / 'new').touch()"
+        )
+    killed(f"die = lambda: os.kill(os.getpid(), 9)\n{when}", folder)
+    assert len(list(tmp_path.glob(".new-*"))) == 1
+    settle_folders(tmp_path)
+    assert names(tmp_path) == ["f"] and names(folder) == ["old"]
+
+
+def test_a_folder_that_is_being_filled_is_left_alone(tmp_path: Path) -> None:
+    with replacing_folder(tmp_path / "f") as fresh:
+        settle_folders(tmp_path)
+        (fresh / "new").touch()
+    assert names(tmp_path / "f") == ["new"]
 
 
 HOLD = (

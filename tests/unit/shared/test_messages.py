@@ -15,6 +15,7 @@ from shared.messages import (
     PROTOCOL_VERSION,
     CalibrationOrigin,
     Capabilities,
+    DriveApplied,
     ErrorNotice,
     Hello,
     Join,
@@ -139,3 +140,38 @@ def test_numbers_beyond_their_bounds_are_refused(number: int) -> None:
 
 def test_what_cannot_be_shown_is_seen_to_have_been_there() -> None:
     assert printable("a\x1bb\nc") == "a\N{REPLACEMENT CHARACTER}b\N{REPLACEMENT CHARACTER}c"
+
+
+NO_NUMBERS = (float("nan"), float("inf"), -float("inf"))
+
+
+@pytest.mark.parametrize("number", NO_NUMBERS)
+def test_what_a_robot_measures_as_no_number_is_not_known(number: float) -> None:
+    told = Status(
+        t_robot_ns=1,
+        uptime_s=number,
+        battery_v=number,
+        battery_fraction=number,
+        cpu_percent=number,
+        temperatures_c={"cpu": number, "board": 40.0},
+    )
+    known = Status(t_robot_ns=1, uptime_s=0.0, temperatures_c={"board": 40.0})
+    assert told == known == decode_robot_message(encode_message(told))
+
+
+@pytest.mark.parametrize("number", NO_NUMBERS)
+@pytest.mark.parametrize("field", ["linear", "angular"])
+def test_motors_are_told_numbers(field: str, number: float) -> None:
+    raw = {"type": "drive_applied", "t_robot_ns": 1, "linear": 0.1, "angular": 0.0, field: number}
+    with pytest.raises(RemoteProtocolError, match="is no motion"):
+        decode_robot_message(msgspec.msgpack.encode(raw))
+    assert isinstance(decode_robot_message(msgspec.msgpack.encode(raw | {field: 0.2})), DriveApplied)
+
+
+@pytest.mark.parametrize("number", [*NO_NUMBERS, 1e9])
+@pytest.mark.parametrize("field", ["max_linear_m_s", "max_angular_rad_s"])
+def test_a_robot_is_as_fast_as_a_command_can_say(field: str, number: float) -> None:
+    raw = msgspec.to_builtins(HELLO)
+    raw["capabilities"][field] = number
+    with pytest.raises(RemoteProtocolError, match=f"{field} .* is outside"):
+        decode_robot_message(msgspec.msgpack.encode(raw))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import stat
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -215,6 +216,29 @@ def test_a_lock_follows_no_link(tmp_path: Path) -> None:
     with pytest.raises(ConfigError), locked(tmp_path / "x"):
         pass
     assert not (tmp_path / "another's").exists()
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")])
+def test_a_secret_that_is_no_file_is_refused_at_once(tmp_path: Path, make: Callable[[Path], None]) -> None:
+    make(tmp_path / "x")
+    with pytest.raises(ConfigError, match=r"x cannot be read: it is a (pipe|device), no file; put a regular file"):
+        read_private(tmp_path / "x")
+
+
+def test_a_book_that_became_a_pipe_lets_nobody_in_and_holds_nobody_up(tmp_path: Path) -> None:
+    book = TokenBook.create(tmp_path)
+    token = book.add("anna", Role.ADMIN, 0.0)
+    book.path.unlink()
+    os.mkfifo(book.path, 0o600)
+    assert book.refresh() and book.find(token.text, 0.0) is None
+
+
+def test_a_secret_without_end_is_refused(tmp_path: Path) -> None:
+    with (tmp_path / "x").open("wb") as file:
+        os.fchmod(file.fileno(), 0o600)
+        file.truncate(1 << 40)
+    with pytest.raises(ConfigError, match="more than such a file ever has"):
+        read_private(tmp_path / "x")
 
 
 def test_a_write_that_fails_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
+
+from station.files.unwritable import Unwritable
 from station.library.navigation_records import NavigationLibrary, NavigationRecord
+from tests.support.disk import unwritable
 
 
 def test_a_navigation_that_a_dead_station_left_is_kept_as_failed(tmp_path: Path) -> None:
@@ -41,3 +45,27 @@ def test_a_navigation_whose_record_is_lost_is_known_by_its_recording(tmp_path: P
     interrupted = NavigationLibrary(tmp_path).open()
     assert [(navigation.id, navigation.state) for navigation in interrupted] == [("nav-a", "failed")]
     assert [navigation.id for navigation in NavigationLibrary(tmp_path).open()] == []  # it has a record again
+
+
+def test_a_navigation_whose_exchange_was_cut_by_a_kill_is_there_again(tmp_path: Path) -> None:
+    library = NavigationLibrary(tmp_path)
+    library.store(NavigationRecord(id="nav-1", name="one", state="ready", started_wall_s=1.0, backend="sfm"))
+    old, fresh = (tmp_path / "nav-1" / ".new-x" / name for name in ("before/navigation", "fresh"))
+    for folder in (old, fresh):
+        folder.mkdir(parents=True)
+    (old / "navigation.json").touch()
+    assert NavigationLibrary(tmp_path).open() == []
+    assert (library.navigation_folder("nav-1") / "navigation.json").exists()
+    assert sorted(path.name for path in (tmp_path / "nav-1").iterdir()) == ["navigation", "record.json"]
+
+
+def test_what_cannot_be_deleted_for_good_is_not_said_to_be(tmp_path: Path) -> None:
+    library = NavigationLibrary(tmp_path / "navigations")
+    library.store(NavigationRecord(id="nav-1", name="one", state="ready", started_wall_s=1.0, backend="sfm"))
+    library.delete("nav-1")
+    with unwritable(tmp_path), pytest.raises(Unwritable):
+        library.purge("nav-1")
+    assert [navigation.id for navigation in library.deleted()] == ["nav-1"]
+    library.purge("nav-1")
+    library.purge("nav-1")
+    assert library.deleted() == ()
