@@ -164,7 +164,9 @@ async def _shake_hands(connection: socket.socket, name: str, address: str) -> Co
         reader, writer = await _streams(
             connection, ssl=pinning_context(), server_hostname="", ssl_handshake_timeout=HANDSHAKE_WITHIN_S
         )
-    except (ssl.SSLError, ConnectionResetError, ConnectionAbortedError) as exc:
+    except ConnectionAbortedError as exc:  # by ourselves: asyncio's word for a handshake that took too long
+        raise TimeoutError(str(exc)) from exc
+    except (ssl.SSLError, ConnectionResetError) as exc:
         remedy = "run `robot-server access init` on the robot"
         if is_loopback(address):
             remedy = "on loopback it needs no pairing, or `[access] folder` in its TOML file"

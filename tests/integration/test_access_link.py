@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import time
 from pathlib import Path
 from typing import get_args
@@ -40,7 +41,7 @@ from shared.messages import (
     Welcome,
 )
 from shared.token_book import TokenBook
-from station.access import paired_robots
+from station.access import connecting, paired_robots
 from station.access.connecting import ConnectionRefused, connect, connect_by_tls
 from station.access.paired_robots import PairedRobot, PairedRobots
 from tests.support.access import JOIN, NOW, GuardedBench, guarded_robot, linked, make_token, set_up, talking
@@ -274,6 +275,16 @@ async def test_a_robot_without_tls_where_tls_is_needed_is_refused(tmp_path: Path
         assert "access init" not in str(refused.value)  # it changes nothing there
 
 
+async def test_a_robot_that_is_silent_did_not_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A busy one may speak TLS as well as any: nothing is said of its access control."""
+    monkeypatch.setattr(connecting, "HANDSHAKE_WITHIN_S", 0.2)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        port = silent.getsockname()[1]
+        with pytest.raises(TimeoutError) as late:
+            await connect_by_tls("127.0.0.1", port)
+    assert connecting.in_words(late.value, f"127.0.0.1:{port}") == f"no answer from 127.0.0.1:{port}"
+
+
 async def test_a_station_without_tls_gets_no_word_from_a_guarded_robot(tmp_path: Path) -> None:
     async with guarded_robot(tmp_path) as bench:
         reader, writer = await asyncio.open_connection("127.0.0.1", bench.port)
@@ -331,7 +342,7 @@ async def test_silent_handshakes_are_bounded_in_number_and_time_and_keep_nobody_
         async with linked(bench.port, robots) as (link, _):
             await until(lambda: link.state.connected)
         await asyncio.gather(*ended, return_exceptions=True)  # the last ones after HANDSHAKE_WITHIN_S
-        assert not bench.server._clients
+        await until(lambda: not bench.server._clients)
     finally:
         for _, writer in silent:
             writer.transport.abort()
