@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -76,6 +77,8 @@ class NavigationLibrary:
             raise DataError(f"{self._root} cannot be used ({exc.strerror}); choose another folder with --data") from exc
         if (told := why_unwritable(self._root)) is not None:
             self.unwritable = str(cannot_write(self._root, told))
+        with contextlib.suppress(OSError):
+            make_folder(self._root / BIN)  # now: a disk that is full by then has no room for a folder
         folders = [path for path in here if _ID.fullmatch(path.name) and path.is_dir()]
         for folder in folders:
             settle_folders(folder)
@@ -154,7 +157,7 @@ class NavigationLibrary:
         """Forget a navigation; `restore` brings it back until it is purged. Raises Unknown."""
         self.get(navigation_id)
         try:
-            (self._root / BIN).mkdir(exist_ok=True)
+            make_folder(self._root / BIN)
             os.rename(self.folder(navigation_id), self._root / BIN / navigation_id)
         except OSError as exc:
             raise cannot_write(self._root, exc) from exc

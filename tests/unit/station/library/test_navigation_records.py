@@ -69,3 +69,16 @@ def test_what_cannot_be_deleted_for_good_is_not_said_to_be(tmp_path: Path) -> No
     library.purge("nav-1")
     library.purge("nav-1")
     assert library.deleted() == ()
+
+
+def test_the_bin_is_there_before_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    library = NavigationLibrary(tmp_path / "navigations")
+    library.open()
+    library.store(NavigationRecord(id="nav-1", name="one", state="ready", started_wall_s=1.0, backend="sfm"))
+
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "mkdir", fail)
+    library.delete("nav-1")
+    assert [navigation.id for navigation in library.deleted()] == ["nav-1"]
