@@ -18,7 +18,7 @@ from station.model.place_answer import PlaceAnswer
 from station.model.place_map import PlaceMap
 from station.places.making.build import build_map
 from station.workers.repeatable import repeatable
-from station.workers.replay import ReplayOptions, follow, locate
+from station.workers.replay import ReplayOptions, follow, locate, locate_live
 from tests.support.paths import RECORDINGS
 
 pytestmark = [pytest.mark.computing, pytest.mark.slow]
@@ -58,8 +58,7 @@ def test_places_of_a_simulated_flat_are_named_right_on_the_second_drive(tmp_path
     with repeatable(1):
         navigation, _ = follow(mapped, ReplayOptions("ukf"))
         place_map = build_map(navigation)
-        _, updates = follow(again, ReplayOptions("ukf"))
-        answers, hijacks = locate(again, place_map, updates, ReplayOptions())
+    answers, hijacks = locate_live(again, place_map, ReplayOptions("ukf"))
     right = named(place_map, mapped, answers, again)
     assert not hijacks
     assert len(right) >= 5 and np.mean(right) >= MIN_RIGHT_OF_KNOWN, [answer.reason for answer in answers]

@@ -13,7 +13,7 @@ import pytest
 from robot.simulation.worlds import make_world
 from shared.calibration import ImuNoise
 from shared.geometry import FloatArray, inverse
-from station.model.frames import DriveSample, ImageFrame
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation
 from station.model.slam_update import SlamUpdate
 from station.motion.preintegration import ImuSegment, Preintegration, preintegrate
@@ -128,12 +128,18 @@ def test_a_spoilt_image_and_new_points_keep_to_the_smoothed_way(monkeypatch: pyt
 
 
 @cache
-def twice_around(closes: bool) -> tuple[list[Claim], list[SlamUpdate]]:
-    """A circle, once around in 11 s: the loops closed, and what is known on the way."""
+def circle() -> list[ImuBatch | DriveSample | ImageFrame]:
+    """Once around in 11 s."""
     x, y, yaw = make_world("room", 0).start
+    return list(drive(ShortDrive(end_s=20.0, turn_rad_s=1.5, world="room", start=(x, y, yaw + 1.2))))
+
+
+@cache
+def twice_around(closes: bool) -> tuple[list[Claim], list[SlamUpdate]]:
+    """The loops closed on the circle, and what is known on the way."""
     backend = SmoothingBackend(CALIBRATION, SmoothingConfig(closes_loops=closes))
     updates: list[SlamUpdate] = []
-    for event in drive(ShortDrive(end_s=20.0, turn_rad_s=1.5, world="room", start=(x, y, yaw + 1.2))):
+    for event in circle():
         if isinstance(event, ImageFrame):
             updates.append(backend.add_frame(event))
         elif isinstance(event, DriveSample):
