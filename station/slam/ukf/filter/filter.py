@@ -229,8 +229,11 @@ class VioFilter:
         uv, xy, seen = tracks.uv_px[chosen], tracks.xy[chosen], tracks.seen[chosen]
         points = triangulate_window(self.camera, state, uv, xy, seen)
         good = points.is_good & (points.depth_sigma < config.window_depth_sigma)
-        misfits = int((good & (points.rms >= config.max_track_rms)).sum())
-        good &= points.rms < config.max_track_rms
+        # Only images tell how a head turned from clone to clone: no point fits before they have told. By how much the
+        # poses may be off, the gate knows.
+        fits = (points.rms < config.max_track_rms) | bool(len(state.head))
+        misfits = int((good & ~fits).sum())
+        good &= fits
         is_landmark = coming[chosen] & good & (points.depth_sigma < config.landmark_depth_sigma)
         is_landmark &= np.cumsum(is_landmark) <= wanted
         good &= is_landmark | due[chosen]  # a track that is neither waits for more views
