@@ -91,6 +91,20 @@ class HeadPose:
         return axes, -skew(t - np.array(self.calibration.pivot_body)) @ axes
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class HeadThen:
+    """A head at a time that lies back: of its servos more has been learned since, of the play it had no more."""
+
+    told: HeadPose
+    play: FloatArray  # (2,) rad, as it was estimated then
+
+    def T_body_head(self, errors: FloatArray) -> FloatArray:
+        """(4, 4), by the servos' errors (NUM_ERRORS,) as they are known by now."""
+        errors = errors.copy()
+        errors[PLAY] = self.play
+        return self.told.T_body_head(self.told.by_errors @ errors)
+
+
 def _shares(knots: FloatArray, angle: float) -> FloatArray:
     """(K,) of each knot's value in that at an angle: evenly between two, the last one's beyond."""
     right = min(max(int(np.searchsorted(knots, angle)), 1), len(knots) - 1)

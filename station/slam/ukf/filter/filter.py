@@ -12,7 +12,7 @@ import numpy as np
 
 from shared.calibration import Calibration
 from shared.errors import ConfigError
-from shared.geometry import FloatArray, IntArray, inverse, se3
+from shared.geometry import FloatArray, IntArray, se3
 from station.motion.error_coordinates import ErrorKind
 from station.motion.head import HeadPose
 from station.motion.preintegration import ImuSegment
@@ -159,12 +159,6 @@ class VioFilter:
             new_landmark_ids=new_ids,
             retired=retired,
         )
-
-    @property
-    def T_body_head(self) -> FloatArray:
-        """(4, 4) where the head of the newest frame is on the body, as estimated."""
-        state = self.state
-        return inverse(state.T_world_body) @ se3(state.clone_R[-1], state.clone_x[-1])
 
     def adopt_landmarks(self) -> None:
         """After a start in motion: let the best tracks of its window enter the state, forget the others' views.
