@@ -20,9 +20,10 @@ from station.model.frames import DriveSample
 REPORT_NS = 80_000_000  # reports come every 50 to 67 ms; over a longer silence nothing had changed
 MEMORY_NS = 30_000_000_000  # frames may wait that long for their turn
 SETTLE_NS = 100_000_000  # so long a servo takes to follow a change of speed
-# The error at these angles, evenly in between, is learned; so far apart two angles have errors of their own.
-PAN_KNOTS, TILT_KNOTS = np.radians(np.arange(-75.0, 76.0, 15.0)), np.radians(np.arange(-45.0, 46.0, 15.0))
+# The error at these angles is learned. So far apart two angles have errors of their own; in between the curve is taken
+# for straight, which must be off by less than the play.
 CORRELATION_RAD = np.radians(20.0)
+PAN_KNOTS, TILT_KNOTS = np.radians(np.arange(-75.0, 76.0, 7.5)), np.radians(np.arange(-45.0, 46.0, 7.5))
 SIGMA_LAG_S = 0.02  # between one servo and another
 # What nobody can foresee: how large it gets, and by how much it changes
 SIGMA_PLAY_RAD = np.radians(0.4)
@@ -88,6 +89,20 @@ class HeadPose:
         axes = np.array([[0.0, np.sin(pan)], [0.0, -np.cos(pan)], [1.0, 0.0]])  # the body's z, the panned head's -y
         t = self.T_body_head(off)[:3, 3]
         return axes, -skew(t - np.array(self.calibration.pivot_body)) @ axes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeadThen:
+    """A head at a time that lies back: of its servos more has been learned since, of the play it had no more."""
+
+    told: HeadPose
+    play: FloatArray  # (2,) rad, as it was estimated then
+
+    def T_body_head(self, errors: FloatArray) -> FloatArray:
+        """(4, 4), by the servos' errors (NUM_ERRORS,) as they are known by now."""
+        errors = errors.copy()
+        errors[PLAY] = self.play
+        return self.told.T_body_head(self.told.by_errors @ errors)
 
 
 def _shares(knots: FloatArray, angle: float) -> FloatArray:

@@ -21,7 +21,7 @@ from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation
 from station.model.slam_update import SlamUpdate, TrackingState
 from station.motion.drive_commands import WheelSpeed, commands_motion
-from station.motion.head import HeadPose, HeadTrack
+from station.motion.head import NUM_ERRORS, PLAY, HeadPose, HeadThen, HeadTrack
 from station.motion.imu_buffer import IN_THE_AIR, ON_WHEELS, ImuBuffer
 from station.motion.preintegration import ImuSegment
 from station.slam.mapping.intake import FrameIntake
@@ -167,7 +167,7 @@ class UkfBackend:
         current.link = memory.link_by(segment, vio.state)
         memory.add(current)
         result = vio.process_frame(segment, current.tracked, frame.index, soft, keep_previous, current.head)
-        current.T_body_head = None if current.head is None else vio.T_body_head
+        current.head_then = self._head_then(vio, current.head)
         self._tracker.drop(result.rejected_ids)
         reason = self._monitor.why_lost(vio.state, current.tracked, current.t_imu_ns, current.wheels, result)
         if reason is not None:
@@ -227,7 +227,7 @@ class UkfBackend:
         self._filter = self._make_filter(state)
         empty = self._imu.segment(current.t_imu_ns, current.t_imu_ns)
         self._filter.process_frame(empty, current.tracked, frame.index, head=current.head)
-        current.T_body_head = None if current.head is None else self._filter.T_body_head
+        current.head_then = self._head_then(self._filter, current.head)
         self._standstill.update(frame.index, is_still)
         self._carry_on(current, self._filter.state)
         memory.poses.add(frame.index, current.t_imu_ns, self._filter.state.T_world_body, memory.segment)
@@ -343,10 +343,17 @@ class UkfBackend:
         better = None if improve is None else improve(memory)
         report = make_report(intake, self._imu.counts, self._lost_ns * 1e-9, self._seed, config, self._messages)
         return make_navigation(
-            f"ukf-{intake.first_t_ns}", memory, self._camera, self._calibration, config, report, better
+            f"ukf-{intake.first_t_ns}", memory, self._camera, self._calibration, self._servo_errors(), config, report,
+            better,
         )  # fmt: skip
 
     # ---- small helpers
+
+    def _servo_errors(self) -> FloatArray:
+        """(NUM_ERRORS,) of the head, as they are known by now."""
+        if self._filter is not None and len(self._filter.state.head):
+            return self._filter.state.head
+        return np.zeros(NUM_ERRORS) if self._servos_known is None else self._servos_known.mean
 
     def _make_views(self) -> MapViews | None:
         """Where the map's views are collected; None when the map is made from tracks."""
@@ -403,6 +410,10 @@ class UkfBackend:
             before = self._previous_head or head
             R = self._R_body_head(before).T @ R @ self._R_body_head(head)
         return self._camera.R_body_cam.T @ R @ self._camera.R_body_cam
+
+    @staticmethod
+    def _head_then(vio: VioFilter, head: HeadPose | None) -> HeadThen | None:
+        return None if head is None else HeadThen(head, vio.state.head[PLAY])
 
     def _R_body_head(self, head: HeadPose) -> FloatArray:
         """By what it was told, and what is known of its servos."""

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from shared.calibration import Calibration
-from shared.geometry import se3
+from shared.geometry import FloatArray, se3
 from station.model.best_camera import KnownCamera, corrected, misfit_of
 from station.model.calibration_fit import CalibrationFit, newer
 from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
@@ -33,6 +33,7 @@ def make_navigation(
     memory: NavigationMemory,
     camera: CameraModel,
     calibration: Calibration,
+    servo_errors: FloatArray,
     config: UkfConfig,
     report: NavigationReport,
     better: BetterKnown | None,
@@ -42,9 +43,10 @@ def make_navigation(
     Args:
         better: by a backend that builds on this one.
         calibration: as told; that of a map from views is corrected by what the drive says of it.
+        servo_errors: (NUM_ERRORS,) of the head, as the drive's end knows them.
     """
     fit = memory.calibration_check.finish()
-    made = _from_views(memory, camera, calibration, fit, config, better)
+    made = _from_views(memory, camera, calibration, servo_errors, fit, config, better)
     made = made or _from_tracks(memory, camera, calibration, config)
     report = replace(
         report,
@@ -74,6 +76,7 @@ def _from_views(
     memory: NavigationMemory,
     camera: CameraModel,
     calibration: Calibration,
+    servo_errors: FloatArray,
     fit: CalibrationFit | None,
     config: UkfConfig,
     known: BetterKnown | None,
@@ -96,7 +99,7 @@ def _from_views(
         calibration.gravity,
         WheelsKnown.before_the_drive(config.wheels) if calibration.has_wheels else None,
         lambda: len(make_landmarks(memory.keyframes.items, camera, config.quality)),
-        calibration.head,
+        servo_errors,
         known,
     )
     if made is None:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from shared.calibration import Calibration
 from shared.geometry import FloatArray, inverse, rotation_angle, se3
 from station.model.frames import ImageFrame
-from station.motion.head import HeadPose
+from station.motion.head import HeadPose, HeadThen
 from station.motion.imu_buffer import ImuBuffer
 from station.motion.preintegration import ImuSegment, Preintegration, preintegrate
 from station.slam.ukf.filter.constraints import BodyVelocity
@@ -44,7 +44,7 @@ class RecentFrame:
     wheels: BodyVelocity | None  # where wheels know it
     rgb: npt.NDArray[np.uint8] | None  # (N, 3) where the image is grey; None: decoded when it becomes a keyframe
     head: HeadPose | None  # as told; None while it was never turned
-    T_body_head: FloatArray | None = None  # (4, 4) as the filter knew it then
+    head_then: HeadThen | None = None  # the same, with what the filter knew of it
     is_still: bool = False  # the robot stands, by image and IMU
     turned: tuple[Keyframe, ...] = ()  # of a turn between the frame before it in the window and this one
     since_turned: Preintegration | None = None  # IMU since the last of these
@@ -114,7 +114,9 @@ class NavigationMemory:
     def retire(self, retired: RetiredClone, state: FilterState) -> Points | None:
         """A pose left the window: log it, keep it as keyframe or join its IMU link to the next; new map points."""
         old = self.recent.pop(retired.frame_index, None)
-        T_world_head, T_body_head = retired.T_world_head, None if old is None else old.T_body_head
+        T_world_head, T_body_head = retired.T_world_head, None
+        if old is not None and old.head_then is not None:  # of a turn its own images tell most
+            T_body_head = old.head_then.T_body_head(state.head)
         self.poses.improve(
             retired.frame_index, T_world_head if T_body_head is None else T_world_head @ inverse(T_body_head)
         )
@@ -152,7 +154,8 @@ class NavigationMemory:
             segment=self.segment,
             link=item.link,
             wheels=item.wheels,
-            T_body_head=item.T_body_head,
+            T_body_head=None if item.head_then is None else item.head_then.T_body_head(state.head),
+            head=item.head_then,
         )
 
     def _pass_on(self, old: RecentFrame, after: RecentFrame, retired: RetiredClone, state: FilterState) -> None:

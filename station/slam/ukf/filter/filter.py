@@ -12,7 +12,7 @@ import numpy as np
 
 from shared.calibration import Calibration
 from shared.errors import ConfigError
-from shared.geometry import FloatArray, IntArray, inverse, se3
+from shared.geometry import FloatArray, IntArray, se3
 from station.motion.error_coordinates import ErrorKind
 from station.motion.head import HeadPose
 from station.motion.preintegration import ImuSegment
@@ -160,12 +160,6 @@ class VioFilter:
             retired=retired,
         )
 
-    @property
-    def T_body_head(self) -> FloatArray:
-        """(4, 4) where the head of the newest frame is on the body, as estimated."""
-        state = self.state
-        return inverse(state.T_world_body) @ se3(state.clone_R[-1], state.clone_x[-1])
-
     def adopt_landmarks(self) -> None:
         """After a start in motion: let the best tracks of its window enter the state, forget the others' views.
 
@@ -229,8 +223,11 @@ class VioFilter:
         uv, xy, seen = tracks.uv_px[chosen], tracks.xy[chosen], tracks.seen[chosen]
         points = triangulate_window(self.camera, state, uv, xy, seen)
         good = points.is_good & (points.depth_sigma < config.window_depth_sigma)
-        misfits = int((good & (points.rms >= config.max_track_rms)).sum())
-        good &= points.rms < config.max_track_rms
+        # Only images tell how a head turned from clone to clone: no point fits before they have told. By how much the
+        # poses may be off, the gate knows.
+        fits = (points.rms < config.max_track_rms) | bool(len(state.head))
+        misfits = int((good & ~fits).sum())
+        good &= fits
         is_landmark = coming[chosen] & good & (points.depth_sigma < config.landmark_depth_sigma)
         is_landmark &= np.cumsum(is_landmark) <= wanted
         good &= is_landmark | due[chosen]  # a track that is neither waits for more views

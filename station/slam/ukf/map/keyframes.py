@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from shared.geometry import FloatArray
 from station.model.frames import ImageArray, ImageFrame
+from station.motion.head import HeadThen
 from station.motion.preintegration import Preintegration, chain
 from station.slam.ukf.filter.constraints import BodyVelocity
 from station.vision.klt import TrackedFrame
@@ -28,7 +29,9 @@ class Keyframe:
     segment: int
     link: Preintegration | None  # IMU since the previous keyframe of the segment
     wheels: BodyVelocity | None  # where wheels know it
-    T_body_head: FloatArray | None = None  # (4, 4); None: the head was never turned, and is where the body is
+    # (4, 4) as the filter knew it last; None: the head was never turned, and is where the body is
+    T_body_head: FloatArray | None = None
+    head: HeadThen | None = None  # the same, for whoever knows its servos better
 
 
 class KeyframeStore:

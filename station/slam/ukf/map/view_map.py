@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shared.calibration import CameraCalibration, HeadCalibration, ImuNoise
+from shared.calibration import CameraCalibration, ImuNoise
 from shared.geometry import FloatArray, inverse, se3, skew, so3_log, upright
 from station.model.navigation import Keyframes, Landmarks, join_maps
 from station.motion.head import SIGMA_PLAY_RAD
@@ -31,6 +31,7 @@ from station.slam.mapping.odometry_mapping import (
 )
 from station.slam.mapping.rolling_shutter import RowMotion, turned_back
 from station.slam.ukf.filter.constraints import WheelsKnown
+from station.slam.ukf.map.keyframes import Keyframe
 from station.slam.ukf.map.pose_log import PoseLog
 from station.slam.ukf.map.views import MapViews, View
 from station.vision.camera_model import CameraModel
@@ -86,7 +87,7 @@ def map_views(
     gravity: float,
     wheels: WheelsKnown | None,
     count_tracks: Callable[[], int],
-    head: HeadCalibration | None,
+    servo_errors: FloatArray,
     better: BetterKnown | None = None,
 ) -> ViewMap | None:
     """Map every piece of the drive and move its poses along. `wheels`: what is known of them before the drive.
@@ -95,12 +96,12 @@ def map_views(
 
     Args:
         camera: as it is known before; the longest piece says what it is, and the others are mapped with that.
-        head: that carries the camera, where there is one.
+        servo_errors: (NUM_ERRORS,) of the head that carries the camera, as the drive's end knows them.
         better: whose equations hold the IMU, so that they are asked in place of the filter's motions.
 
     None where views have no landmarks, or tracks would give many times more (`count_tracks` tells how many).
     """
-    parts: dict[int, tuple[Reconstructed, list[View], FloatArray]] = {}
+    parts: dict[int, tuple[Reconstructed, list[View]]] = {}
     loops, errors = 0, []
     described, matches = views.describe_all()
     # Smoothing solves each segment by itself.
@@ -125,7 +126,7 @@ def map_views(
         made = map_with_motions(features, rays, pairs, motions, camera.camera, views.mapping, adjuster, rows, scales)
         if made.tracks.num_points == 0:
             continue
-        terms = None if is_smoothed else inertial_terms(items, noise, gravity, wheels, head)
+        terms = None if is_smoothed else inertial_terms(items, noise, gravity, wheels, servo_errors)
         if terms is not None:
             v_world = np.array([v.keyframe.v_world for v in items])
             # One camera has made all pieces; and a head's angles would take the mounting's place.
@@ -134,19 +135,28 @@ def map_views(
         part = read_odometry_map(made, [v.keyframe.image for v in items], features, camera.camera, views.mapping)
         if terms is None and not is_smoothed:
             part = level(part, motions.T_world_body, camera.camera)
-        parts[number] = (part, items, motions.T_world_body)
+        parts[number] = (part, items)
         loops += made.num_loops
         errors.append(made.median_error_px)
     in_order = [parts[number] for number in sorted(parts)]
-    num_landmarks = sum(len(part.landmarks) for part, _, _ in in_order)
+    num_landmarks = sum(len(part.landmarks) for part, _ in in_order)
     if num_landmarks == 0 or MAX_TRACKS_PER_LANDMARK * num_landmarks < count_tracks():
         return None
-    for part, items, T_filter in in_order:
-        T_new = part.keyframes.T_world_cam @ camera.camera.T_cam_body_matrix
+    for part, items in in_order:
+        T_filter = np.array([_T_world_body(v.keyframe) for v in items])
+        T_new = (
+            part.keyframes.T_world_cam @ camera.camera.T_cam_body_matrix @ inverse(_T_body_head(items, servo_errors))
+        )
         for segment in sorted({v.segment for v in items}):
             at = [k for k, v in enumerate(items) if v.segment == segment]
             poses.follow([items[k].frame_index for k in at], T_filter[at], T_new[at], segment)
     return ViewMap(*_join(in_order), camera, loops, float(np.mean(errors)))
+
+
+def _T_world_body(keyframe: Keyframe) -> FloatArray:
+    """(4, 4) as the filter had it."""
+    T, T_body_head = keyframe.T_world_head, keyframe.T_body_head
+    return T if T_body_head is None else T @ inverse(T_body_head)
 
 
 def _seen_by(items: list[View], sigma_px: float) -> SeenBy:
@@ -190,7 +200,7 @@ def relative_motions(items: list[View], noise: ImuNoise) -> RelativeMotions:
 
 
 def inertial_terms(
-    items: list[View], noise: ImuNoise, gravity: float, wheels: WheelsKnown | None, head: HeadCalibration | None
+    items: list[View], noise: ImuNoise, gravity: float, wheels: WheelsKnown | None, servo_errors: FloatArray
 ) -> InertialTerms | None:
     """The IMU and the wheels along the views; None where readings are missing."""
     links = [v.keyframe.link for v in items[1:]]
@@ -207,23 +217,31 @@ def inertial_terms(
             mean=wheels.mean,
             sigma_mean=wheels.sigma,
         )
-    return InertialTerms(known, noise, gravity, items[-1].keyframe.bias, rolling, head_terms(items, head))
+    return InertialTerms(known, noise, gravity, items[-1].keyframe.bias, rolling, head_terms(items, servo_errors))
 
 
-def head_terms(items: list[View], head: HeadCalibration | None) -> HeadTerms | None:
+def head_terms(items: list[View], servo_errors: FloatArray) -> HeadTerms | None:
     """None while the head was never turned.
 
-    What its servos are off by at each angle the filter has learned. Play is left, and is each view's own.
+    What its servos are off by at each angle the filter has learned by the drive's end. Play is left, and is each view's
+    own.
     """
-    told = [v.keyframe.T_body_head for v in items]
-    if head is None or all(T is None for T in told):
+    heads = [v.keyframe.head for v in items]
+    turned = next((head for head in heads if head is not None), None)
+    if turned is None:
         return None
-    T = np.array([np.eye(4) if t is None else t for t in told])
+    T = _T_body_head(items, servo_errors)
     axes = np.zeros((len(T), 3, 2))
     axes[:, 2, 0], axes[:, :, 1] = 1.0, -T[:, :3, 1]  # as HeadPose.by_angles
-    axes[[t is None for t in told]] = 0.0
-    shifts = -skew(T[:, :3, 3] - np.array(head.pivot_body)) @ axes
+    axes[[head is None for head in heads]] = 0.0
+    shifts = -skew(T[:, :3, 3] - np.array(turned.told.calibration.pivot_body)) @ axes
     return HeadTerms(T[:, :3, :3], T[:, :3, 3], axes, shifts, SIGMA_PLAY_RAD)
+
+
+def _T_body_head(items: list[View], servo_errors: FloatArray) -> FloatArray:
+    """(N, 4, 4) where the head was on the body, as the drive's end knows it."""
+    heads = [v.keyframe.head for v in items]
+    return np.array([np.eye(4) if head is None else head.T_body_head(servo_errors) for head in heads])
 
 
 def _head_turns(items: list[View]) -> FloatArray:
@@ -266,8 +284,8 @@ def level(part: Reconstructed, T_filter: FloatArray, calibration: CameraCalibrat
     return replace(part, keyframes=keyframes, landmarks=part.landmarks.moved(turn))
 
 
-def _join(parts: list[tuple[Reconstructed, list[View], FloatArray]]) -> tuple[Keyframes, Landmarks]:
+def _join(parts: list[tuple[Reconstructed, list[View]]]) -> tuple[Keyframes, Landmarks]:
     """Pieces one after the other, each with the number of its first segment."""
-    keyframes, landmarks = join_maps([(part.keyframes, part.landmarks) for part, _, _ in parts])
-    segment = np.array([items[0].segment for _, items, _ in parts for _ in items], dtype=np.int64)
+    keyframes, landmarks = join_maps([(part.keyframes, part.landmarks) for part, _ in parts])
+    segment = np.array([items[0].segment for _, items in parts for _ in items], dtype=np.int64)
     return replace(keyframes, segment=segment), landmarks

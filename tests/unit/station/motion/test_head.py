@@ -7,9 +7,11 @@ from shared.calibration import REFERENCE_HEAD
 from shared.geometry import so3_log
 from station.model.frames import DriveSample
 from station.motion.head import (
+    CORRELATION_RAD,
     NUM_ERRORS,
     PAN_KNOTS,
     PLAY,
+    SIGMA_PLAY_RAD,
     HeadPose,
     HeadTrack,
     errors_before_the_drive,
@@ -92,3 +94,13 @@ def test_before_the_drive_the_servos_are_right_ahead_and_off_by_their_sigma_else
     sigma = [float(np.linalg.norm((head_at(pan, 0.0).by_errors @ root)[0])) for pan in (0.0, 0.17, 1.05)]
     assert sigma[0] < 0.1 * REFERENCE_HEAD.sigma < sigma[1] < sigma[2]
     assert sigma[2] == pytest.approx(REFERENCE_HEAD.sigma, rel=0.05)
+
+
+def test_between_two_knots_the_errors_curve_is_straight_to_less_than_half_the_play() -> None:
+    def alike(a: float, b: float) -> float:
+        return float(np.exp(-0.5 * ((a - b) / CORRELATION_RAD) ** 2))
+
+    a, b = float(PAN_KNOTS[0]), float(PAN_KNOTS[1])
+    middle = 0.5 * (a + b)
+    variance = 1.0 + 0.5 * (1.0 + alike(a, b)) - alike(a, middle) - alike(b, middle)
+    assert REFERENCE_HEAD.sigma * np.sqrt(variance) < 0.5 * SIGMA_PLAY_RAD

@@ -1,6 +1,7 @@
 """The head in the filter: clones where the camera is, with the errors that body and servos give them."""
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
@@ -12,7 +13,7 @@ from station.motion.error_coordinates import ErrorKind, as_displacement, differe
 from station.motion.head import NUM_ERRORS, PLAY, SIGMA_PLAY_RAD, HeadPose, errors_before_the_drive
 from station.motion.imu_buffer import ImuBuffer
 from station.slam.ukf.filter.config import FilterConfig
-from station.slam.ukf.filter.filter import VioFilter
+from station.slam.ukf.filter.filter import FrameResult, VioFilter
 from station.slam.ukf.filter.head import ServosKnown, add_head_clone, turn_head
 from station.slam.ukf.filter.state import FilterState, initial_state, retract
 from tests.support.synthetic_run import observe, room_points, sine_path
@@ -112,43 +113,79 @@ def test_what_was_learned_is_known_after_tracking_was_lost() -> None:
     assert (again.head == state.head).all()
 
 
-def test_the_filter_finds_the_servos_errors_and_knows_how_well() -> None:
-    """A head that sweeps over a made-up room: its servos' errors are drawn from what is believed of them beforehand."""
-    imu, truth = sine_path(CALIBRATION, 0, 8.0)
-    errors = errors_before_the_drive(REFERENCE_HEAD) @ np.random.default_rng(77).normal(size=NUM_ERRORS)
-    errors[PLAY] = 0.0
+@dataclass(frozen=True, slots=True, eq=False)
+class Sweep:
+    """What the filter made of a head that sweeps over a made-up room, frame by frame."""
+
+    vio: VioFilter
+    results: list[FrameResult]  # since it turns
+    wrong: FloatArray  # (N,) rad, pan as estimated less the true one
+    sigma: FloatArray  # (N,) rad, what the filter says of that
+    x_end: FloatArray  # (3,) m, true
+
+
+def sweep(
+    calibration: Calibration, corners: dict[float, float], off: Callable[[HeadPose], float], num_points: int
+) -> Sweep:
+    """Pan (degrees) at the times (s) of `corners`; the servos are `off` by so much, rad, more than they are told."""
+    times = list(corners)
+    imu, truth = sine_path(calibration, 0, times[-1])
     t_s = (truth.t_ns - truth.t_ns[0]) * 1e-9
-    pan = np.radians(np.interp(t_s, [0.5, 2.0, 5.0, 8.0], [0.0, 60.0, -60.0, 60.0]))
-    rate = np.gradient(pan, t_s)
+    pan = np.radians(np.interp(t_s, times, list(corners.values())))
     heads = [
         HeadPose(REFERENCE_HEAD, np.array([p, 0.0]), np.array([r, 0.0]), np.full(2, np.radians(0.08)))
-        for p, r in zip(pan, rate, strict=True)
+        for p, r in zip(pan, np.gradient(pan, t_s), strict=True)
     ]
-    T_body_head = np.array([head.T_body_head(head.by_errors @ errors) for head in heads])
+    true_off = np.array([off(head) for head in heads])
+    T_body_head = np.array([h.T_body_head(np.array([e, 0.0])) for h, e in zip(heads, true_off, strict=True)])
     R, x = truth.R_world_body, truth.x_world
     x_head = x + np.einsum("nij,nj->ni", R, T_body_head[:, :3, 3])
     of_head = replace(truth, R_world_body=R @ T_body_head[:, :3, :3], x_world=x_head)
-    frames = observe(CALIBRATION, of_head, room_points(x, 0), 1.0, 0, num_features=80)
+    frames = observe(calibration, of_head, room_points(x, 0, num_points), 1.0, 0, num_features=80)
     buffer = ImuBuffer(NOISE)
     buffer.add(imu)
     first = initial_state(
         0, R[0], truth.v_world[0], x[0], truth.bias_gyro[0], truth.bias_accel[0], 1e-3 * np.eye(15)
     )  # fmt: skip
-    vio = VioFilter(CALIBRATION, FilterConfig(), first)
-    off, sigma = [], []
+    vio = VioFilter(calibration, FilterConfig(), first)
+    results, wrong, sigma = [], [], []
     for k, frame in enumerate(frames):
+        turned = t_s[k] > times[0]
         segment = buffer.segment(vio.state.t_imu_ns, int(truth.t_ns[k]))
-        result = vio.process_frame(segment, frame, k, head=heads[k] if t_s[k] > 0.5 else None)
-        assert result.num_landmarks == 0 or t_s[k] <= 0.5
-        if t_s[k] > 2.0:
+        result = vio.process_frame(segment, frame, k, head=heads[k] if turned else None)
+        if turned:
             state, by = vio.state, heads[k].by_errors
-            off.append(float((by @ (state.head - errors))[0]))
+            results.append(result)
+            wrong.append(float((by @ state.head)[0] - true_off[k]))
             sigma.append(float(np.linalg.norm((by @ state.S[state.head_rows])[0])))
-    true_off = np.abs([(head.by_errors @ errors)[0] for head in heads])
-    assert np.degrees(true_off.max()) > 2.0  # else nothing was to be found
-    assert np.degrees(np.sqrt(np.mean(np.square(off)))) < 0.5
-    assert np.mean(np.square(np.array(off) / np.array(sigma))) < 4.0
-    assert np.linalg.norm(vio.state.x - x[-1]) < 0.1
+    assert np.degrees(np.abs(true_off).max()) > 2.0  # else nothing was to be found
+    return Sweep(vio, results, np.array(wrong), np.array(sigma), x[-1])
+
+
+def test_the_filter_finds_the_servos_errors_and_knows_how_well() -> None:
+    """The servos' errors are drawn from what is believed of them beforehand."""
+    errors = errors_before_the_drive(REFERENCE_HEAD) @ np.random.default_rng(77).normal(size=NUM_ERRORS)
+    errors[PLAY] = 0.0
+    found = sweep(
+        CALIBRATION, {0.5: 0.0, 2.0: 60.0, 5.0: -60.0, 8.0: 60.0}, lambda h: float((h.by_errors @ errors)[0]), 1200
+    )
+    later = slice(len(found.wrong) // 5, None)
+    assert all(result.num_landmarks == 0 for result in found.results)
+    assert np.degrees(np.sqrt(np.mean(found.wrong[later] ** 2))) < 0.5
+    assert np.mean((found.wrong[later] / found.sigma[later]) ** 2) < 4.0
+    assert np.linalg.norm(found.vio.state.x - found.x_end) < 0.1
+
+
+def test_images_follow_servos_that_turn_further_than_they_were_told() -> None:
+    """By up to 7 degrees within the 30 that a track is in view for: before the first turn nobody knows that."""
+    camera = msgspec.structs.replace(REFERENCE_CAMERA, line_delay_s=0.0, time_shift_s=0.0)
+    narrow = msgspec.structs.replace(CALIBRATION, camera=camera)
+    found = sweep(
+        narrow, {0.5: 0.0, 2.0: 60.0, 4.0: -20.0}, lambda h: np.radians(6.0) * np.sin(4.1 * float(h.angles[0])), 4000
+    )
+    tried = sum(r.num_window_tried + r.num_window_misfits for r in found.results)
+    assert sum(r.num_window_used for r in found.results) > 0.8 * tried > 100
+    assert np.mean((found.wrong / found.sigma) ** 2) < 4.0
 
 
 def vee(R: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ import pytest
 from shared.calibration import REFERENCE_CAMERA, REFERENCE_ROBOT
 from station.model.calibration_fit import FITS, MISFITS, UNKNOWN, CalibrationFit, contradicted, judge
 from station.model.navigation import NavigationReport
+from station.motion.head import NUM_ERRORS
 from station.slam.ukf import finish
 from station.slam.ukf.config import UkfConfig
 from station.slam.ukf.map.pose_log import PoseLog
@@ -52,5 +53,7 @@ def test_a_map_that_knows_nothing_of_its_camera_does_not_silence_the_windows(
     monkeypatch.setattr(finish, "_from_views", lambda *_: made)
     memory: Any = SimpleNamespace(calibration_check=SimpleNamespace(finish=lambda: by_windows), poses=PoseLog())
     camera = CameraModel.of(REFERENCE_CAMERA, 1.0)
-    navigation = finish.make_navigation("one", memory, camera, REFERENCE_ROBOT, UkfConfig(), REPORT, None)
+    navigation = finish.make_navigation(
+        "one", memory, camera, REFERENCE_ROBOT, np.zeros(NUM_ERRORS), UkfConfig(), REPORT, None
+    )
     assert navigation.report.calibration_fit == expected

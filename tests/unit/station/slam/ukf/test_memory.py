@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,9 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from shared.calibration import REFERENCE_ROBOT
+from shared.calibration import REFERENCE_HEAD, REFERENCE_ROBOT
 from shared.geometry import FloatArray, se3, so3_exp
 from station.model.frames import ImageFrame
+from station.motion.head import NUM_ERRORS, PAN_KNOTS, PLAY, HeadPose, HeadThen
 from station.motion.preintegration import ImuSegment, Preintegration, preintegrate
 from station.slam.ukf.filter.filter import RetiredClone
 from station.slam.ukf.map.landmark_map import LandmarkQuality
@@ -103,3 +105,21 @@ def test_the_imu_reaches_from_view_to_view_and_from_keyframe_to_keyframe() -> No
 def test_a_robot_that_stands_or_turns_to_and_fro_for_long_leaves_a_few_views() -> None:
     assert len(turned_on_the_spot(0.0, 3 * MOST_TURNED)[1]) == 2
     assert len(turned_on_the_spot(5.0, 3 * MOST_TURNED)[1]) == MOST_TURNED + 2
+
+
+def test_where_the_body_was_follows_what_has_been_learned_of_the_heads_servos_since() -> None:
+    """They turned a tenth further than told, which nobody knew when the image was taken."""
+    head = HeadPose(REFERENCE_HEAD, np.array([0.5, 0.0]), np.zeros(2), np.zeros(2))
+    truly = head.T_body_head(np.array([0.05, 0.0]))
+    memory = NavigationMemory(MODEL, REFERENCE_ROBOT, LandmarkQuality(), 100, None)
+    memory.add(replace(frame(0), head=head, head_then=HeadThen(head, np.zeros(2))))
+    memory.poses.add(0, 0, turned_by(-3.0), 0)
+    learned = np.zeros(NUM_ERRORS)
+    learned[PLAY], learned[2 : 2 + len(PAN_KNOTS)] = 0.02, 0.1 * PAN_KNOTS  # what play it has now is another
+    after = state([], [turned_by(0.0)])
+    after.head = learned
+    memory.retire(retired(0, turned_by(0.0) @ truly, True), after)
+    body = memory.poses.pose_of(0)
+    assert body is not None and np.allclose(body, turned_by(0.0))
+    T_body_head = memory.keyframes.items[0].T_body_head
+    assert T_body_head is not None and np.allclose(T_body_head, truly)
