@@ -197,16 +197,7 @@ def inertial_terms(
     known = [link for link in links if link is not None]
     if len(known) < len(links):
         return None
-    told = [v.keyframe.wheels for v in items]
-    rolling = None
-    if wheels is not None:
-        nothing = np.zeros((3, len(wheels.mean)))
-        rolling = WheelTerms(
-            by_constants=np.array([nothing if w is None or w.by_wheels is None else w.by_wheels for w in told]),
-            sigma=np.array([np.full(3, np.inf) if w is None else w.sigma for w in told]),
-            mean=wheels.mean,
-            sigma_mean=wheels.sigma,
-        )
+    rolling = None if wheels is None else WheelTerms(wheels.mean, wheels.sigma)
     return InertialTerms(known, noise, gravity, items[-1].keyframe.bias, rolling, head_terms(items, head))
 
 
