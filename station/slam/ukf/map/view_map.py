@@ -75,6 +75,7 @@ class ViewMap:
     camera: CameraFit  # that they were made with
     num_loops: int
     median_error_px: float
+    shows_little: bool  # tracks give many times more landmarks
 
 
 def map_views(
@@ -97,8 +98,9 @@ def map_views(
         camera: as it is known before; the longest piece says what it is, and the others are mapped with that.
         head: that carries the camera, where there is one.
         better: whose equations hold the IMU, so that they are asked in place of the filter's motions.
+        count_tracks: how many landmarks tracks give.
 
-    None where views have no landmarks, or tracks would give many times more (`count_tracks` tells how many).
+    None where views have no landmarks.
     """
     parts: dict[int, tuple[Reconstructed, list[View], FloatArray]] = {}
     loops, errors = 0, []
@@ -139,14 +141,15 @@ def map_views(
         errors.append(made.median_error_px)
     in_order = [parts[number] for number in sorted(parts)]
     num_landmarks = sum(len(part.landmarks) for part, _, _ in in_order)
-    if num_landmarks == 0 or MAX_TRACKS_PER_LANDMARK * num_landmarks < count_tracks():
+    if num_landmarks == 0:
         return None
+    shows_little = MAX_TRACKS_PER_LANDMARK * num_landmarks < count_tracks()
     for part, items, T_filter in in_order:
         T_new = part.keyframes.T_world_cam @ camera.camera.T_cam_body_matrix
         for segment in sorted({v.segment for v in items}):
             at = [k for k, v in enumerate(items) if v.segment == segment]
             poses.follow([items[k].frame_index for k in at], T_filter[at], T_new[at], segment)
-    return ViewMap(*_join(in_order), camera, loops, float(np.mean(errors)))
+    return ViewMap(*_join(in_order), camera, loops, float(np.mean(errors)), shows_little)
 
 
 def _seen_by(items: list[View], sigma_px: float) -> SeenBy:
