@@ -40,7 +40,9 @@ def default_cache_dir() -> Path:
 
 def bake_atlas(specs: list[TextureSpec], cache_dir: Path | None) -> Atlas:
     """Paint all textures, or take the pixels from the cache; a broken or unwritable cache only costs time."""
-    unique = sorted(set(specs), key=lambda s: (-s.size_px[1], s.size_px[0], s.kind, s.seed))
+    # Of a set, those that differ in their light alone would lie in the order of this process's hashes, and where a
+    # texture lies decides the last bit of what is looked up in it.
+    unique = sorted(dict.fromkeys(specs), key=lambda s: (-s.size_px[1], s.size_px[0], s.kind, s.seed))
     layout = _layout(unique)
     image = _read_cached(cache_dir, unique, layout.height_px) if cache_dir else None
     if image is None:

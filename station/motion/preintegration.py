@@ -17,6 +17,14 @@ from station.motion import lie
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class RolledWay:
+    """How far wheels have carried the body: by_constants @ their constants, in the first pose's body frame."""
+
+    by_constants: FloatArray  # (3, c) m
+    covariance: FloatArray  # (3, 3) m^2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Preintegration:
     """Motion in the first pose's body frame, without gravity, at the bias it was integrated with."""
 
@@ -29,6 +37,7 @@ class Preintegration:
     dp_by_bias: FloatArray  # (3, 6)
     covariance: FloatArray  # (9, 9) of (phi on the right, v, p)
     bias: FloatArray  # (6,) gyro, accel
+    rolled: RolledWay | None = None  # None: wheels do not say it all the way
 
     @property
     def sqrt_information(self) -> FloatArray:
@@ -130,6 +139,16 @@ def chain(a: Preintegration, b: Preintegration) -> Preintegration:
         dp_by_bias=dp_by_bias,
         covariance=A @ a.covariance @ A.T + B @ b.covariance @ B.T,
         bias=a.bias,
+        rolled=_rolled_on(a, b),
+    )
+
+
+def _rolled_on(a: Preintegration, b: Preintegration) -> RolledWay | None:
+    if a.rolled is None or b.rolled is None:
+        return None
+    return RolledWay(
+        a.rolled.by_constants + a.dR @ b.rolled.by_constants,
+        a.rolled.covariance + a.dR @ b.rolled.covariance @ a.dR.T,
     )
 
 

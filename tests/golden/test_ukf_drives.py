@@ -27,6 +27,7 @@ from station.datasets import open_dataset
 from station.experiments.trajectory_error import TrajectoryError, absolute_trajectory_error
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation
+from station.motion.preintegration import RolledWay
 from station.slam.backends import make_backend
 from station.slam.run import Events, run_backend
 from station.slam.ukf.backend import UkfBackend
@@ -106,6 +107,7 @@ def test_what_lies_before_and_behind_an_outage_is_one_map(drive: Path) -> None:
     nav = run_backend(backend, events())
     assert any("tracking lost" in message for message in nav.report.messages)
     assert_links_are_whole(backend)
+    assert sum(way is None for way in ways_of(backend)) == 1  # in the dark nobody kept count
     assert not nav.keyframes.segment.any()  # all of the first piece
     behind = nav.keyframes.t_robot_ns > begin_ns + DARK_NS
     assert behind.any() and not behind.all()
@@ -119,6 +121,13 @@ def assert_links_are_whole(backend: UkfBackend) -> None:
     for before, view in pairwise(backend.memory.views.described()):
         since_s = (view.keyframe.image.t_robot_ns - before.keyframe.image.t_robot_ns) * 1e-9
         assert view.keyframe.link is not None and view.keyframe.link.duration_s == pytest.approx(since_s, abs=1e-6)
+
+
+def ways_of(backend: UkfBackend) -> list[RolledWay | None]:
+    """How far the wheels rolled from each view to the next."""
+    assert backend.memory.views is not None
+    links = [view.keyframe.link for view in backend.memory.views.described()[1:]]
+    return [None if link is None else link.rolled for link in links]
 
 
 def test_what_leaves_the_window_as_tracking_is_lost_is_kept(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,12 +16,14 @@ from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, upright
 from station.slam.mapping.camera_fit import CameraFit
 from station.slam.mapping.inertial_terms import InertialTerms
-from station.slam.mapping.odometry_bundle import BundleState
+from station.slam.mapping.odometry_bundle import BundleState, Observations
 from station.slam.mapping.odometry_mapping import (
     LAST_SCALES,
+    LEAST_ERROR_PX,
     OBSERVATIONS_PER_KEYFRAME,
     OdometryMap,
     by_motions,
+    median_error_px,
     observations,
     odometry_map,
     refine,
@@ -30,6 +32,8 @@ from station.slam.mapping.odometry_mapping import (
 from station.slam.mapping.rolling_shutter import RowMotion
 from station.slam.mapping.tracks import longest
 
+RAYLEIGH_MEDIAN = 1.177  # median length of a plane's vector whose two components are off by one sigma
+CAUCHY_EFFICIENT = 2.385  # sigmas: what Cauchy's loss keeps 95 % of the information at where nothing is wrong
 ROUNDS = 2  # observations that fitted only the old scale, tilt or camera come back in the second
 
 # The rays of all features and how the camera moved meanwhile, by a camera and how much later than told it took them.
@@ -58,17 +62,30 @@ def lay_on_imu(
     state = replace(state, motion=terms.start((turned @ v_world[:, :, None])[:, :, 0]))
     adjuster = by_motions(terms, damping=1e-8)
     rays, kept = made.rays, made.tracks
+    scales: tuple[float, ...] = LAST_SCALES
     for left in reversed(range(ROUNDS)):
-        state, kept = refine(state, made.tracks, rays, adjuster, camera.camera, LAST_SCALES)
+        state, kept = refine(state, made.tracks, rays, adjuster, camera.camera, scales)
+        if left:
+            scales = (*LAST_SCALES, _scale_px(state, observations(kept, rays, camera.camera)))
         if seen_by is not None and left:
             used = longest(kept, OBSERVATIONS_PER_KEYFRAME)
             few = observations(kept.only(used[kept.point]), rays, camera.camera)
             _, rows = seen_by(camera.camera, camera.late_s)
-            camera = camera.improved(replace(state, points=state.points[used]), few, terms, rows, LAST_SCALES[-1])
+            camera = camera.improved(replace(state, points=state.points[used]), few, terms, rows, scales[-1])
             turned_back, rows = seen_by(camera.camera, camera.late_s)
             rays = stood_still(turned_back, rows, state, kept, camera.camera)
     made = odometry_map(state, kept, rays, camera.camera, made.num_loops, made.num_matches)
     return made, camera
+
+
+def _scale_px(state: BundleState, seen: Observations) -> float:
+    """Of the robust loss, by what the map's own features are off by.
+
+    Where views show little, somebody's legs and look-alikes are a tenth of what they share. By a pixel and a half,
+    several times what true features are off by, they count nearly as those do: they bend the map and its metre.
+    """
+    sigma_px = max(median_error_px(state, seen), LEAST_ERROR_PX) / RAYLEIGH_MEDIAN
+    return CAUCHY_EFFICIENT * sigma_px
 
 
 def _upright(state: BundleState, up_body: FloatArray) -> BundleState:

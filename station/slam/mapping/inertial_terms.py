@@ -1,4 +1,4 @@
-"""The inertial readings between the poses of a whole navigation, and what wheels say of its velocities.
+"""The inertial readings between the poses of a whole navigation, and how far wheels have rolled between them.
 
 What fixes the metre: the accelerometer feels every start, stop and turn, and the map's shape joins them all to one
 scale. The filter's relative motions (odometry.py) have the scale it believed in when it made them.
@@ -30,11 +30,9 @@ SLIP_CAUCHY = 3.0  # sigmas: wheels that spin against a chair are outliers, not 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WheelTerms:
-    """The body's velocities as wheels have them: v_body = by_constants @ constants, known to sigma."""
+    """What is known of the wheels' constants before the drive; the links say how far they rolled by them."""
 
-    by_constants: FloatArray  # (N, 3, c)
-    sigma: FloatArray  # (N, 3) m/s, infinite where nothing is known
-    mean: FloatArray  # (c,) of the constants before the drive
+    mean: FloatArray  # (c,)
     sigma_mean: FloatArray  # (c,)
 
 
@@ -89,6 +87,7 @@ class InertialTerms:
         self._links = WindowLinks.of(list(links))
         self._gravity = gravity
         self._wheels = wheels
+        self._ways = None if wheels is None else _Ways.of(links, len(wheels.mean))
         self._head = head
         self._bias = bias
         n = len(links) + 1
@@ -133,7 +132,7 @@ class InertialTerms:
         for r, _, _ in self._parts(state, with_jacobians=False):
             cost += float((r * r).sum())
         if self._wheels is not None:
-            r, _ = self._wheel_residuals(state)
+            r, _, _ = self._wheel_residuals(state)
             cost += float((SLIP_CAUCHY**2 * np.log1p(r**2 / SLIP_CAUCHY**2)).sum())
         return cost
 
@@ -211,34 +210,55 @@ class InertialTerms:
             (first, (np.eye(6) / SIGMA_BIAS[:, None])[None], b_at + six[None]),
         ]
 
-    def _wheel_residuals(self, state: BundleState) -> tuple[FloatArray, FloatArray]:
-        """Whitened residuals (3 N + c,) of velocities and constants, and v_body (N, 3)."""
-        wheels = self._wheels
-        assert wheels is not None
+    def _wheel_residuals(self, state: BundleState) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Whitened residuals (3 L + c,) of ways and constants; rotations (L, 3, 3) at the ways' begins, and the ways
+        (L, 3) by the poses.
+        """
+        wheels, ways = self._wheels, self._ways
+        assert wheels is not None and ways is not None
         constants = state.motion[self._constants]
-        v_body = np.einsum("nji,nj->ni", self._body(state)[0], self.velocities(state))
-        off = (v_body - wheels.by_constants @ constants) / wheels.sigma
-        return np.concatenate([off.ravel(), (constants - wheels.mean) / wheels.sigma_mean]), v_body
+        R, p = self._body(state)
+        R_first = R[ways.first]
+        moved = np.einsum("nji,nj->ni", R_first, p[ways.first + 1] - p[ways.first])
+        off = np.einsum("nij,nj->ni", ways.whitening, moved - ways.by_constants @ constants)
+        return np.concatenate([off.ravel(), (constants - wheels.mean) / wheels.sigma_mean]), R_first, moved
 
     def _wheel_rows(self, state: BundleState) -> tuple[FloatArray, FloatArray, IntArray]:
-        wheels = self._wheels
-        assert wheels is not None
-        n, c = len(state.R_world_body), len(wheels.mean)
-        r, v_body = self._wheel_residuals(state)
-        J = np.zeros((n, 3, 6 + c))
-        J[:, :, :3] = skew(v_body)
-        J[:, :, 3:6] = np.swapaxes(self._body(state)[0], 1, 2)
-        J[:, :, 6:] = -wheels.by_constants
-        J /= wheels.sigma[:, :, None]
+        wheels, ways = self._wheels, self._ways
+        assert wheels is not None and ways is not None
+        n, c, k = len(state.R_world_body), len(wheels.mean), len(ways.first)
+        r, R_first, moved = self._wheel_residuals(state)
+        R_t = np.swapaxes(R_first, 1, 2)
+        J = ways.whitening @ np.concatenate([skew(moved), -R_t, R_t, -ways.by_constants], axis=2)
         rows = np.concatenate(
-            [J.reshape(3 * n, 6 + c), np.hstack([np.zeros((c, 6)), np.diag(1.0 / wheels.sigma_mean)])]
+            [J.reshape(3 * k, 9 + c), np.hstack([np.zeros((c, 9)), np.diag(1.0 / wheels.sigma_mean)])]
         )
         at = 6 * n + self._biases.stop + np.arange(c)
-        i = np.arange(n)[:, None]
-        columns = np.hstack([6 * i + np.arange(3), 6 * n + 3 * i + np.arange(3), np.broadcast_to(at, (n, c))])
-        columns = np.concatenate([np.repeat(columns, 3, axis=0), np.tile(columns[0], (c, 1))])
+        i = 6 * ways.first[:, None]
+        columns = np.hstack([i + np.arange(6), i + 9 + np.arange(3), np.broadcast_to(at, (k, c))])
+        of_constants = np.concatenate([np.arange(9), at])
+        columns = np.concatenate([np.repeat(columns, 3, axis=0), np.tile(of_constants, (c, 1))])
         robust = 1.0 / np.sqrt(1.0 + r**2 / SLIP_CAUCHY**2)
         return r * robust, (rows * robust[:, None])[:, None, :], columns
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Ways:
+    """How far wheels rolled along those links of which they say it."""
+
+    first: IntArray  # (L,) the pose that each begins at
+    by_constants: FloatArray  # (L, 3, c) m
+    whitening: FloatArray  # (L, 3, 3)
+
+    @classmethod
+    def of(cls, links: Sequence[Preintegration], num_constants: int) -> _Ways:
+        known = [(k, link.rolled) for k, link in enumerate(links) if link.rolled is not None]
+        covariance = np.array([way.covariance for _, way in known]).reshape(-1, 3, 3)
+        return cls(
+            np.array([k for k, _ in known], dtype=np.int64),
+            np.array([way.by_constants for _, way in known]).reshape(-1, 3, num_constants),
+            np.linalg.inv(np.linalg.cholesky(covariance)),
+        )
 
 
 def _held(R_first: FloatArray, size: int) -> csc_matrix:

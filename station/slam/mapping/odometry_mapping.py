@@ -39,6 +39,7 @@ from station.vision.two_view import epipolar_inliers
 
 LAST_SCALES = (1.5,)  # px, of robust losses: as sharp as the pictures
 OBSERVATIONS_PER_KEYFRAME = 60  # in bundle adjustment; more do not move the poses
+LEAST_ERROR_PX = 0.3  # a median below it is luck, or the points have followed their few observations
 GATE = 4.0  # observations further off than this many scales wait for the next round
 
 
@@ -154,11 +155,15 @@ def odometry_map(
 ) -> OdometryMap:
     """A state with how well it explains its tracks, and how well its landmarks are known."""
     seen = observations(tracks, rays, camera)
+    median = median_error_px(state, seen)
+    noise_px = max(median, LEAST_ERROR_PX)
+    return OdometryMap(state, tracks, rays, num_loops, num_matches, median, landmark_covariances(state, seen, noise_px))
+
+
+def median_error_px(state: BundleState, seen: Observations) -> float:
+    """0 where nothing was seen."""
     errors = reprojection_errors(state, seen)
-    median = float(np.median(errors)) if len(errors) else 0.0
-    return OdometryMap(
-        state, tracks, rays, num_loops, num_matches, median, landmark_covariances(state, seen, max(median, 0.3))
-    )
+    return float(np.median(errors)) if len(errors) else 0.0
 
 
 def straight_rays(features: Features, t_imu_ns: int, track: InertialTrack, camera: CameraCalibration) -> FloatArray:

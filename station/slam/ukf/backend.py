@@ -26,7 +26,14 @@ from station.motion.imu_buffer import IN_THE_AIR, ON_WHEELS, ImuBuffer
 from station.motion.preintegration import ImuSegment
 from station.slam.mapping.intake import FrameIntake
 from station.slam.ukf.config import UkfConfig
-from station.slam.ukf.filter.constraints import BodyVelocity, Rolled, Standstill, WheelsKnown, wheel_velocity
+from station.slam.ukf.filter.constraints import (
+    BodyVelocity,
+    Rolled,
+    Standstill,
+    WheelsKnown,
+    wheel_velocity,
+    with_way,
+)
 from station.slam.ukf.filter.filter import RetiredClone, SoftConstraint, VioFilter
 from station.slam.ukf.filter.head import ServosKnown
 from station.slam.ukf.filter.state import NO_HEAD, FilterState, add_wheels
@@ -137,7 +144,7 @@ class UkfBackend:
                 return self._update(frame, "not initialised yet: needs IMU samples", None)
         previous = self._previous_t if self._previous_t is not None else t_imu
         segment = self._imu.segment(previous, t_imu)
-        rolled_m = self._rolled_m(t_imu)
+        way_m = self._rolled_m(t_imu)
         head = self._head.pose(t_imu, previous)
         tracked = self._tracker.process(grey, self._predicted_turn(segment, head), self._filter is not None)
         is_still = self._still.update(t_imu, tracked, self._imu.samples(t_imu - 10**9, t_imu))
@@ -149,22 +156,26 @@ class UkfBackend:
         self.newest = current
         if self._filter is None:
             if self._lost_since is not None:
-                self._coasting.advance(segment, t_imu, rolled_m)
+                efficiency = self._wheels_known.efficiency
+                self._coasting.advance(segment, t_imu, None if way_m is None else efficiency * way_m)
             update = self._wait_for_start(current, is_still)
         else:
-            update = self._track(self._filter, current, segment, is_still)
+            update = self._track(self._filter, current, segment, is_still, way_m)
         oldest = t_imu - int((self._config.start.max_window_s + 0.5) * 1e9)
         self._imu.forget_before(min(oldest, oldest if self.imu_needed_since_ns is None else self.imu_needed_since_ns))
         return update
 
     # ---- tracking
 
-    def _track(self, vio: VioFilter, current: RecentFrame, segment: ImuSegment, is_still: bool) -> SlamUpdate:
+    def _track(
+        self, vio: VioFilter, current: RecentFrame, segment: ImuSegment, is_still: bool, way_m: float | None
+    ) -> SlamUpdate:
         frame, memory = current.frame, self._memory
         soft = self._soft_constraints(vio.state, current, is_still)
         keep_previous = self._standstill.began_with_previous
         self._standstill.update(frame.index, is_still)
-        current.link = memory.link_by(segment, vio.state)
+        link = memory.link_by(segment, vio.state)
+        current.link = with_way(link, way_m, current.wheels, self._config.max_speed_m_s)
         memory.add(current)
         result = vio.process_frame(segment, current.tracked, frame.index, soft, keep_previous, current.head)
         current.head_then = self._head_then(vio, current.head)
@@ -446,11 +457,14 @@ class UkfBackend:
         return driven_velocity(current.wheels, lag_m_s)
 
     def _rolled_m(self, t_imu: int) -> float | None:
-        """Way of the wheels since the last frame; None where there are none, or the robot is in somebody's hands."""
+        """Way of the wheels since the last frame, as if nothing slipped.
+
+        None where there are none, or the robot is in somebody's hands.
+        """
         before = self._way_m  # not the wheel's own: each command has taken it on since
         self._wheel_speed.advance(t_imu)
         self._way_m = self._wheel_speed.way_m
-        rolled_m = (self._way_m - before) * self._wheels_known.efficiency
+        rolled_m = self._way_m - before
         return rolled_m if self._calibration.has_wheels and not self._is_lifted else None
 
     def _anchor(self, reason: str, state: FilterState) -> Anchor:

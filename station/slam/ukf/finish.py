@@ -22,6 +22,7 @@ from station.slam.ukf.config import UkfConfig
 from station.slam.ukf.filter.constraints import WheelsKnown
 from station.slam.ukf.map.keyframes import Keyframe
 from station.slam.ukf.map.landmark_map import TrackObservations, assemble, make_landmarks
+from station.slam.ukf.map.pose_log import PoseLog
 from station.slam.ukf.map.refine import refine_segment
 from station.slam.ukf.map.view_map import BetterKnown, map_views
 from station.slam.ukf.memory import NavigationMemory
@@ -83,7 +84,8 @@ def _from_views(
 ) -> _Made | None:
     """Loops closed and everything refined, by the camera as the drive's end knows it.
 
-    None where there are no views, or they share too little.
+    Where views show little beside what was followed, their map places the keyframes and tracks are its landmarks.
+    None where there are no views, or they share nothing.
     """
     if memory.views is None:
         return None
@@ -106,7 +108,31 @@ def _from_views(
         return None
     facts = {"mapped_from": "views", "loops": made.num_loops, "median_error_px": made.median_error_px}
     calibration = msgspec.structs.replace(calibration, camera=made.camera.camera)
-    return _Made(calibration, made.keyframes, made.landmarks, made.camera.judged(), facts, [])
+    keyframes, landmarks = made.keyframes, made.landmarks
+    if made.shows_little:  # but its loops, its metre and its camera are better than what tracks were followed with
+        facts["mapped_from"] = "tracks"
+        corrected_camera = CameraModel.of(made.camera.camera, camera.sigma_px)
+        items = [moved_along(k, memory.poses, servo_errors, corrected_camera) for k in memory.keyframes.items]
+        keyframes = _keyframes(items, corrected_camera)
+        landmarks = make_landmarks(items, corrected_camera, config.quality, made.camera.late_s)
+    return _Made(calibration, keyframes, landmarks, made.camera.judged(), facts, [])
+
+
+def moved_along(keyframe: Keyframe, poses: PoseLog, servo_errors: FloatArray, camera: CameraModel) -> Keyframe:
+    """The keyframe at the pose that its frame has now, its features seen by this camera."""
+    tracked = replace(keyframe.tracked, xy=camera.lens.unproject(keyframe.tracked.uv_px))
+    T = poses.pose_of(keyframe.image.index)
+    if T is None:
+        return replace(keyframe, tracked=tracked)
+    T = T if keyframe.head is None else T @ keyframe.head.T_body_head(servo_errors)
+    v_world = T[:3, :3] @ keyframe.T_world_head[:3, :3].T @ keyframe.v_world
+    return replace(keyframe, tracked=tracked, T_world_head=T, v_world=v_world)
+
+
+def _keyframes(items: list[Keyframe], camera: CameraModel) -> Keyframes:
+    T_world_cam = np.array([k.T_world_head for k in items]) @ se3(camera.R_body_cam, camera.t_body_cam)
+    segment = np.array([k.segment for k in items], dtype=np.int64)
+    return replace(make_keyframes([k.image for k in items], T_world_cam), segment=segment)
 
 
 def _from_tracks(memory: NavigationMemory, camera: CameraModel, calibration: Calibration, config: UkfConfig) -> _Made:
@@ -117,9 +143,7 @@ def _from_tracks(memory: NavigationMemory, camera: CameraModel, calibration: Cal
     is_thesis = config.landmarks == "thesis"
     messages = _refine(memory, camera, calibration) if config.refine and not is_thesis else []
     items = memory.keyframes.items
-    T_world_cam = np.array([k.T_world_head for k in items]) @ se3(camera.R_body_cam, camera.t_body_cam)
-    segment = np.array([k.segment for k in items], dtype=np.int64)
-    keyframes = replace(make_keyframes([k.image for k in items], T_world_cam), segment=segment)
+    keyframes = _keyframes(items, camera)
     if is_thesis:
         landmarks = assemble(*memory.live.as_entered(), TrackObservations.of(items))
     else:

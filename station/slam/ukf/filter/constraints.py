@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shared.geometry import FloatArray, homogeneous, orthonormal, skew, so3_log
+from shared.geometry import FloatArray, homogeneous, orthonormal, skew, so3_exp, so3_log
 from station.motion.drive_commands import SPEED_EFFICIENCY
 from station.motion.error_coordinates import ErrorKind
+from station.motion.preintegration import Preintegration, RolledWay
 from station.slam.ukf.filter.state import PHI, XI_V, FilterState
 from station.slam.ukf.filter.update import Measurements
 from station.vision.klt import TrackedFrame
@@ -174,6 +175,25 @@ def wheel_velocity(
         sigma[0] = config.sigma_speed_m_s + config.sigma_speed_share * abs(rolled.speed_m_s)
         sigma[0] += config.sigma_lag_share * abs(rolled.missing_m_s)
     return BodyVelocity(by_wheels @ wheels, sigma, by_wheels, gate=4.0) if np.isfinite(sigma).any() else None
+
+
+def with_way(
+    link: Preintegration | None, way_m: float | None, wheels: BodyVelocity | None, max_speed_m_s: float
+) -> Preintegration | None:
+    """The link between two frames with what wheels say of the way between them: as sure as of the velocity at its end.
+
+    Args:
+        way_m: of the wheels, as if nothing slipped; None: they do not carry the robot.
+        max_speed_m_s: where wheels say nothing.
+    """
+    if link is None or way_m is None or wheels is None:
+        return link
+    turn = so3_log(link.dR)
+    R_middle = so3_exp(0.5 * turn)
+    by_constants = np.zeros((3, 2))
+    by_constants[0, 0], by_constants[1, 1] = way_m, turn[2]
+    sigma_m = np.minimum(wheels.sigma, max_speed_m_s) * link.duration_s
+    return replace(link, rolled=RolledWay(R_middle @ by_constants, R_middle @ np.diag(sigma_m**2) @ R_middle.T))
 
 
 class Standstill:

@@ -60,9 +60,12 @@ class TrackObservations:
 
 
 def triangulate_with_covariance(
-    keyframes: list[Keyframe], observations: TrackObservations, camera: CameraModel
+    keyframes: list[Keyframe], observations: TrackObservations, camera: CameraModel, late_s: float = 0.0
 ) -> tuple[IntArray, Triangulation]:
-    """Track ids (F,) with enough views, and their points with covariances: also the bad ones, which say so."""
+    """Track ids (F,) with enough views, and their points with covariances: also the bad ones, which say so.
+
+    `late_s`: so much later than the keyframes' poses the images were taken.
+    """
     ids, start, count = np.unique(observations.track, return_index=True, return_counts=True)
     enough = count >= MIN_VIEWS
     ids, start, count = ids[enough], start[enough], count[enough]
@@ -86,8 +89,8 @@ def triangulate_with_covariance(
         row = np.where(seen, s[:, None] + at, s[:, None])
         kf, uv, xy = observations.keyframe[row], observations.uv_px[row], observations.xy[row]
         R_obs, x_obs = R[kf], x[kf]
-        if camera.line_delay_s:
-            R_obs, x_obs = observation_pose(R_obs, x_obs, v[kf], omega[kf], camera.row_delay_s(uv[..., 1]))
+        if camera.line_delay_s or late_s:
+            R_obs, x_obs = observation_pose(R_obs, x_obs, v[kf], omega[kf], camera.row_delay_s(uv[..., 1]) + late_s)
         parts.append(triangulate(camera, R_obs, x_obs, xy, seen, 6))
     points = Triangulation(
         p=np.concatenate([t.p for t in parts]),
@@ -103,10 +106,11 @@ def make_landmarks(
     keyframes: list[Keyframe],
     camera: CameraModel,
     quality: LandmarkQuality,
+    late_s: float = 0.0,
 ) -> Landmarks:
     """All tracks of the keyframes that are good enough, as the map's landmarks."""
     observations = TrackObservations.of(keyframes)
-    ids, points = triangulate_with_covariance(keyframes, observations, camera)
+    ids, points = triangulate_with_covariance(keyframes, observations, camera, late_s)
     good = points.is_good & (points.rms < quality.max_rms) & (points.depth_sigma < quality.max_depth_sigma)
     return assemble(ids[good], points.p[good], points.cov[good], observations)
 

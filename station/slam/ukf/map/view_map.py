@@ -76,6 +76,7 @@ class ViewMap:
     camera: CameraFit  # that they were made with
     num_loops: int
     median_error_px: float
+    shows_little: bool  # tracks give many times more landmarks
 
 
 def map_views(
@@ -98,8 +99,9 @@ def map_views(
         camera: as it is known before; the longest piece says what it is, and the others are mapped with that.
         servo_errors: (NUM_ERRORS,) of the head that carries the camera, as the drive's end knows them.
         better: whose equations hold the IMU, so that they are asked in place of the filter's motions.
+        count_tracks: how many landmarks tracks give.
 
-    None where views have no landmarks, or tracks would give many times more (`count_tracks` tells how many).
+    None where views have no landmarks.
     """
     parts: dict[int, tuple[Reconstructed, list[View]]] = {}
     loops, errors = 0, []
@@ -140,8 +142,9 @@ def map_views(
         errors.append(made.median_error_px)
     in_order = [parts[number] for number in sorted(parts)]
     num_landmarks = sum(len(part.landmarks) for part, _ in in_order)
-    if num_landmarks == 0 or MAX_TRACKS_PER_LANDMARK * num_landmarks < count_tracks():
+    if num_landmarks == 0:
         return None
+    shows_little = MAX_TRACKS_PER_LANDMARK * num_landmarks < count_tracks()
     for part, items in in_order:
         T_filter = np.array([_T_world_body(v.keyframe) for v in items])
         T_new = (
@@ -150,7 +153,7 @@ def map_views(
         for segment in sorted({v.segment for v in items}):
             at = [k for k, v in enumerate(items) if v.segment == segment]
             poses.follow([items[k].frame_index for k in at], T_filter[at], T_new[at], segment)
-    return ViewMap(*_join(in_order), camera, loops, float(np.mean(errors)))
+    return ViewMap(*_join(in_order), camera, loops, float(np.mean(errors)), shows_little)
 
 
 def _T_world_body(keyframe: Keyframe) -> FloatArray:
@@ -207,16 +210,7 @@ def inertial_terms(
     known = [link for link in links if link is not None]
     if len(known) < len(links):
         return None
-    told = [v.keyframe.wheels for v in items]
-    rolling = None
-    if wheels is not None:
-        nothing = np.zeros((3, len(wheels.mean)))
-        rolling = WheelTerms(
-            by_constants=np.array([nothing if w is None or w.by_wheels is None else w.by_wheels for w in told]),
-            sigma=np.array([np.full(3, np.inf) if w is None else w.sigma for w in told]),
-            mean=wheels.mean,
-            sigma_mean=wheels.sigma,
-        )
+    rolling = None if wheels is None else WheelTerms(wheels.mean, wheels.sigma)
     return InertialTerms(known, noise, gravity, items[-1].keyframe.bias, rolling, head_terms(items, servo_errors))
 
 

@@ -7,7 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
+from robot.simulation.atlas import bake_atlas
 from robot.simulation.renderer import NO_SURFACE, Renderer, undistort
+from robot.simulation.textures import Glow, TextureSpec
 from robot.simulation.worlds import make_world
 from shared.calibration import REFERENCE_CAMERA, CameraCalibration
 from shared.geometry import FloatArray, inverse, transform
@@ -143,6 +145,13 @@ def test_same_seed_same_picture_other_seed_another() -> None:
         pictures.append(Renderer(world, EUROC).render(T[None]).image.copy())
     assert (pictures[0] == pictures[1]).all()
     assert (pictures[0] != pictures[2]).mean() > 0.3
+
+
+def test_where_a_texture_lies_does_not_depend_on_the_process() -> None:
+    """A set's order changes with every process; it decided between textures that differ in their light alone."""
+    lit = [TextureSpec("lacquer", 3, 0.1, 0.1, 100, glows=(Glow(0.0, 0.0, 0.1 * k, 0.4),)) for k in range(30)]
+    atlas = bake_atlas([*lit, *lit[::-1]], None)
+    assert list(atlas.index) == lit
 
 
 def test_cached_textures_equal_painted_ones_and_a_broken_cache_is_ignored(tmp_path: Path) -> None:

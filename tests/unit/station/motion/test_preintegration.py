@@ -9,7 +9,7 @@ import pytest
 
 from shared.calibration import ImuNoise
 from shared.geometry import FloatArray, so3_log
-from station.motion.preintegration import ImuSegment, Preintegration, chain, preintegrate
+from station.motion.preintegration import ImuSegment, Preintegration, RolledWay, chain, preintegrate
 
 NOISE = ImuNoise(gyro_density=1.7e-4, accel_density=2e-3, gyro_walk=2e-5, accel_walk=3e-3, rate_hz=200.0)
 BIAS = np.array([0.02, -0.01, 0.03, 0.1, -0.2, 0.05])
@@ -79,3 +79,16 @@ def test_two_halves_chain_to_the_whole() -> None:
     assert np.allclose(
         chained.covariance / np.outer(sigma, sigma), whole.covariance / np.outer(sigma, sigma), atol=2e-3
     )
+
+
+def test_ways_of_the_wheels_join_in_the_first_ones_frame() -> None:
+    rng = np.random.default_rng(3)
+    parts = [preintegrate(segment(20, first), BIAS, NOISE) for first in (0, 20)]
+    ways = [rng.normal(size=(3, 2)) for _ in parts]
+    a, b = (replace(p, rolled=RolledWay(w, np.diag([1.0, 4.0, 9.0]))) for p, w in zip(parts, ways, strict=True))
+    joined = chain(a, b).rolled
+    assert joined is not None
+    constants = np.array([0.9, 0.1])
+    assert np.allclose(joined.by_constants @ constants, ways[0] @ constants + a.dR @ (ways[1] @ constants))
+    assert np.trace(joined.covariance) == pytest.approx(28.0)
+    assert chain(a, parts[1]).rolled is None and chain(parts[0], b).rolled is None

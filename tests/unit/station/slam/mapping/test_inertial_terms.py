@@ -10,15 +10,17 @@ import pytest
 from shared.calibration import HeadCalibration, ImuNoise
 from shared.geometry import FloatArray, so3_exp
 from station.motion.head import HeadPose
-from station.motion.preintegration import ImuSegment, preintegrate
+from station.motion.preintegration import ImuSegment, RolledWay, preintegrate
 from station.slam.mapping.inertial_terms import HeadTerms, InertialTerms, WheelTerms
 from station.slam.mapping.odometry_bundle import BundleState
 
 NOISE = ImuNoise(gyro_density=1e-4, accel_density=1e-3, gyro_walk=1e-5, accel_walk=1e-4, rate_hz=200.0)
 STEP_S, VIEWS, DT_S = 0.4, 25, 0.005
+SIGMA_WAY_M = 0.01  # between two views, by the wheels
+UNKNOWN_WAY = 7  # the link along which they do not say it
 
 
-def stop_and_go(pan: FloatArray | None = None) -> tuple[BundleState, InertialTerms]:
+def stop_and_go(pan: FloatArray | None = None, has_wheels: bool = True) -> tuple[BundleState, InertialTerms]:
     """A robot that goes back and forth along x without turning, and the terms of its readings.
 
     `pan`: (VIEWS,) rad, of a head that looks about: the poses are the head's.
@@ -32,13 +34,12 @@ def stop_and_go(pan: FloatArray | None = None) -> tuple[BundleState, InertialTer
         steps = np.full(per_view, DT_S)
         segment = ImuSegment(steps, np.zeros((per_view, 3)), accel[part], 0, np.zeros(3), np.ones((per_view, 6)))
         link = preintegrate(segment, np.zeros(6), NOISE)
-        links.append(link)
         fall = np.array([0.0, 0.0, -9.81])
         v[k + 1] = v[k] + link.dv + fall * STEP_S
         x[k + 1] = x[k] + v[k] * STEP_S + link.dp + 0.5 * fall * STEP_S**2
-    by_constants = np.zeros((VIEWS, 3, 1))
-    by_constants[:, 0, 0] = v[:, 0]
-    wheels = WheelTerms(by_constants, np.full((VIEWS, 3), 0.05), np.array([1.0]), np.array([0.02]))
+        rolled = RolledWay((x[k + 1] - x[k])[:, None], SIGMA_WAY_M**2 * np.eye(3))
+        links.append(replace(link, rolled=rolled if k != UNKNOWN_WAY else None))
+    wheels = WheelTerms(np.array([1.0]), np.array([0.02])) if has_wheels else None
     head = None if pan is None else head_looking(pan)
     terms = InertialTerms(links, NOISE, 9.81, np.zeros(6), wheels, head)
     R = np.tile(np.eye(3), (VIEWS, 1, 1)) if head is None else head.R_body_head
@@ -89,3 +90,15 @@ def test_a_path_of_another_scale_costs_more(pan: FloatArray | None) -> None:
         larger = replace(state, p_world_body=scale * state.p_world_body, motion=state.motion * scale)
         larger.motion[constant] = 1.0
         assert terms.cost(larger) > 10.0
+
+
+def test_wheels_hold_together_what_lies_between_two_views() -> None:
+    """Their speed at each view alone said little of the way between, and views that see nothing came apart."""
+    cost = []
+    for has_wheels in (True, False):
+        state, terms = stop_and_go(has_wheels=has_wheels)
+        step = np.outer(np.arange(VIEWS) > UNKNOWN_WAY, [0.0, 0.02, 0.0])  # where wheels say nothing
+        step += np.outer(np.arange(VIEWS) > UNKNOWN_WAY + 5, [0.0, 0.05, 0.0])
+        cost.append(terms.cost(replace(state, p_world_body=state.p_world_body + step)))
+    slipped = (0.05 / SIGMA_WAY_M) ** 2
+    assert cost[0] - cost[1] == pytest.approx(9.0 * np.log1p(slipped / 9.0), rel=1e-6)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from shared.calibration import REFERENCE_ROBOT
 from station.model.frames import DriveSample
-from station.motion.drive_commands import MOTOR_LAG_S, SPEED_EFFICIENCY
+from station.motion.drive_commands import MOTOR_LAG_S
 from station.motion.preintegration import ImuSegment
 from station.slam.ukf.backend import UkfBackend
 from station.slam.ukf.start.coasting import Coasting
@@ -59,4 +59,4 @@ def test_a_command_holds_until_the_next_however_long_that_takes() -> None:
     backend = UkfBackend(REFERENCE_ROBOT)
     backend.add_drive(DriveSample(0, 0.3, 0.0))  # a recording has no other while it stays the same
     rolled = [backend._rolled_m(k * FRAME_NS) or 0.0 for k in range(1, 41)]
-    assert sum(rolled) == pytest.approx(SPEED_EFFICIENCY * 0.3 * (2.0 - MOTOR_LAG_S), rel=1e-3)
+    assert sum(rolled) == pytest.approx(0.3 * (2.0 - MOTOR_LAG_S), rel=1e-3)

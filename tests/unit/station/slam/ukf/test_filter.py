@@ -12,9 +12,16 @@ from shared.calibration import Calibration, CameraCalibration, ImuNoise
 from shared.geometry import FloatArray, se3, so3_exp, so3_log
 from station.motion.error_coordinates import ErrorKind, difference_group, pose_jacobian, retract_group
 from station.motion.imu_buffer import ImuBuffer
-from station.motion.preintegration import ImuSegment
+from station.motion.preintegration import ImuSegment, chain, preintegrate
 from station.slam.ukf.filter.config import FilterConfig
-from station.slam.ukf.filter.constraints import BodyVelocity, Rolled, SamePlace, WheelConfig, wheel_velocity
+from station.slam.ukf.filter.constraints import (
+    BodyVelocity,
+    Rolled,
+    SamePlace,
+    WheelConfig,
+    wheel_velocity,
+    with_way,
+)
 from station.slam.ukf.filter.filter import VioFilter
 from station.slam.ukf.filter.landmarks import measure_landmarks
 from station.slam.ukf.filter.measurement import linearise, regress
@@ -263,6 +270,32 @@ def test_wheels_are_believed_less_while_they_follow_a_new_command() -> None:
     assert changing.sigma[0] > config.sigma_lag_share * 0.2
     unknown = wheel_velocity(config, constants, 0.0, None)
     assert unknown is not None and np.isinf(unknown.sigma[0])
+
+
+def test_ways_of_all_frames_join_to_the_arc_and_are_as_sure_as_so_many_velocities() -> None:
+    speed, rate, dt, frames, offset = 0.4, 0.8, 0.07, 12, 0.03
+    steps = np.full(14, dt / 14)
+    readings = ImuSegment(
+        steps, np.tile([0.0, 0.0, rate], (14, 1)), np.zeros((14, 3)), 0, np.zeros(3), np.ones((14, 6))
+    )
+    wheels = wheel_velocity(WheelConfig(), np.array([1.0, offset]), rate, Rolled(speed, 0.0))
+    link = preintegrate(readings, np.zeros(6), NOISE)
+    one = with_way(link, speed * dt, wheels, 15.0)
+    assert one is not None and wheels is not None
+    whole = one
+    for _ in range(frames - 1):
+        whole = chain(whole, one)
+    assert whole.rolled is not None
+    turned, radius = rate * dt * frames, speed / rate
+    arc = radius * np.array([np.sin(turned), 1.0 - np.cos(turned), 0.0])
+    aside = offset * np.array([np.cos(turned) - 1.0, np.sin(turned), 0.0])  # of the turning centre
+    assert np.allclose(whole.rolled.by_constants @ [1.0, offset], arc + aside, atol=2e-4)
+    assert np.trace(whole.rolled.covariance) == pytest.approx(frames * float(((wheels.sigma * dt) ** 2).sum()))
+    blocked = wheel_velocity(WheelConfig(), np.array([1.0, offset]), rate, None)
+    anything = with_way(link, speed * dt, blocked, 15.0)
+    assert anything is not None and anything.rolled is not None
+    assert np.linalg.eigvalsh(anything.rolled.covariance)[-1] == pytest.approx((15.0 * dt) ** 2)
+    assert with_way(link, None, wheels, 15.0) is link  # in somebody's hands
 
 
 @pytest.mark.parametrize("kind", KINDS)
