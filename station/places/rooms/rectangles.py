@@ -25,7 +25,7 @@ from station.places.space.space import Cells
 MOST_PLANES = 20  # for each of the four sides: the strongest
 MOST_OPEN = 8  # ... and, for open ones, the strongest of the opposite side
 LEAST_M = 0.9  # a robot drives into nothing narrower
-PRICE_M = 0.25  # between the points of the ground that have a price
+PRICE_M = PIECE_M  # between the points of the ground that have a price: rectangles overlap between them
 COLUMNS = 12  # new rectangles of a round
 ROUNDS = 60
 SAME = 0.7  # overlap (IoU) from which two new rectangles are nearly one
@@ -155,6 +155,8 @@ def _packed(choices: _Choices, surfaces: Surfaces) -> Packed:
     columns: list[Rectangle] = []
     score: list[float] = []
     covers: list[np.ndarray] = []
+    keys = np.random.default_rng(0)
+    signature = np.zeros(shape, dtype=np.int64)  # the same random number where the same columns are
     packing = _Packing(np.zeros((0, 0)), np.zeros(0, np.intp), np.zeros(0))
     for _ in range(ROUNDS):
         cumulated = np.zeros((shape[0] + 1, shape[1] + 1))
@@ -173,7 +175,8 @@ def _packed(choices: _Choices, surfaces: Surfaces) -> Packed:
                 -(-(r.y0 + beside) // step) : (r.y1 - beside) // step + 1,
             ] = True
             covers.append(cover.ravel())
-        packing = _Packing.of(np.array(covers).T, np.array(score))
+            signature[cover] ^= keys.integers(np.iinfo(np.int64).max)
+        packing = _Packing.of(covers, signature.ravel(), np.array(score))
         price = packing.prices().reshape(shape)
     chosen = sorted(packing.chosen(), key=lambda k: columns[k])
     best = sum(score[k] for k in chosen)
@@ -211,12 +214,10 @@ class _Packing:
     score: FloatArray
 
     @classmethod
-    def of(cls, covers: np.ndarray, score: FloatArray) -> _Packing:
-        """`covers` (points, columns): points in the same rectangles are one constraint."""
-        number: dict[bytes, int] = {}
-        which = np.array([number.setdefault(row.tobytes(), len(number)) for row in np.packbits(covers, axis=1)])
-        first = np.unique(which, return_index=True)[1]
-        return cls(covers[first].astype(np.float64), which, score)
+    def of(cls, covers: list[np.ndarray], signature: IntArray, score: FloatArray) -> _Packing:
+        """`covers` (points,) of each column. Points of one signature (points,) lie in the same: one constraint."""
+        _, first, number = np.unique(signature, return_index=True, return_inverse=True)
+        return cls(np.stack([cover[first] for cover in covers], axis=1).astype(np.float64), number, score)
 
     def prices(self) -> FloatArray:
         """(points,) of the ground: the dual of the linear relaxation."""

@@ -28,7 +28,7 @@ class Sides:
 def weigh_sides(surfaces: Surfaces, model: WallModel) -> Sides:
     """Odds of all planes at once."""
     table = np.array(model.wall)
-    odds = {side: table[surfaces.classes[side]] for side in SIDES}
+    odds = {side: np.where(surfaces.passed[side[0]], -np.inf, table[surfaces.classes[side]]) for side in SIDES}
     is_wall, total = {}, {}
     for side in SIDES:
         is_wall[side] = likeliest_walls(odds[side], model)

@@ -79,6 +79,7 @@ class Surfaces:
     classes: dict[Side, npt.NDArray[np.intp]]  # (planes, pieces) of the counts, for a wall seen from that side
     area_classes: npt.NDArray[np.intp]  # (X, Y) of cells as wide as a piece: how many sights passed, or the body
     driven: Cells  # (X, Y) by the body
+    passed: dict[int, Cells]  # for planes across each axis (planes, pieces): the body was there, so no wall is
 
 
 def find_surfaces(seen: Seen) -> Surfaces | None:
@@ -97,7 +98,16 @@ def find_surfaces(seen: Seen) -> Surfaces | None:
         classes[axis, sign] = _class_of(on, crossed[axis], _looked_at(crossed[axis], sign))
     driven = grid.cells(seen.path)
     area = np.where(driven, DRIVEN, _count_class(grid.passed(seen.sights), AREA_COUNTS))
-    return Surfaces(seen, low, classes, area, driven)
+    passed = {0: _within(driven), 1: _within(driven.T)}
+    return Surfaces(seen, low, classes, area, driven, passed)
+
+
+def _within(driven: Cells) -> Cells:
+    """(planes, pieces) those across the first axis of cells (X, Y) with the body on both their faces."""
+    middles = np.zeros((2 * len(driven) + 1, driven.shape[1]), dtype=np.bool_)
+    middles[1::2] = driven
+    middles[2:-1:2] = driven[:-1] & driven[1:]
+    return middles
 
 
 def _class_of(on: FloatArray, crossed: FloatArray, looked: FloatArray) -> npt.NDArray[np.intp]:

@@ -5,14 +5,17 @@ from __future__ import annotations
 import functools
 
 import numpy as np
+import pytest
 
 from station.places.rooms.borders import find_borders, settled
 from station.places.rooms.plan import make_floor_plan
-from station.places.rooms.rectangles import Packed, Rectangle, find_rectangles
+from station.places.rooms.rectangles import Packed, Rectangle, _Choices, _packed, find_rectangles
 from station.places.rooms.sides import Sides, weigh_sides
-from station.places.rooms.surfaces import LINE_M, Seen, Surfaces, find_surfaces
+from station.places.rooms.surfaces import LINE_M, PIECE_M, Seen, Surfaces, find_surfaces
 from station.places.rooms.wall_model import wall_model
 from tests.support.flats import DOOR, ELL, TWO_ROOMS, WAY_OF_ELL, WAY_OF_TWO, Wall, navigate
+
+OVERLAP_M = 0.3  # rectangles that reach over each other by as much are rivals
 
 
 @functools.cache
@@ -35,7 +38,32 @@ def test_no_two_rectangles_lie_over_each_other() -> None:
         for b in found.rectangles:
             width = min(a.x1, b.x1) - max(a.x0, b.x0)
             height = min(a.y1, b.y1) - max(a.y0, b.y0)
-            assert a == b or min(width, height) * LINE_M <= 0.5
+            assert a == b or min(width, height) * LINE_M < OVERLAP_M
+
+
+@pytest.mark.parametrize("begin", range(40, 50))
+def test_of_two_rectangles_that_lie_over_each_other_one_is_chosen(begin: int) -> None:
+    """So that no strip beside the way counts as entered by what lies over the next room."""
+    surfaces, _, _ = packed(TWO_ROOMS, WAY_OF_TWO)
+    end = begin + round(OVERLAP_M / LINE_M)
+    score = np.full((2, 2, 1, 1), -np.inf)
+    score[0, 0], score[1, 1] = 2.0, 1.0
+    planes = [np.array(found) for found in ([20, begin], [end, 80], [20], [60])]
+    assert _packed(_Choices(planes, score), surfaces).rectangles == (Rectangle(20, end, 20, 60),)
+
+
+def test_where_the_body_was_no_plane_is_a_wall() -> None:
+    """Also where landmarks lie on it: they err by more, or it drove over them."""
+    along = np.linspace(-2.0, 2.0, 81)
+    path = np.column_stack([along, np.full(81, 0.05)])
+    p = np.column_stack([np.repeat(along, 3), np.full(243, 0.1)])
+    sights = np.column_stack([np.full(81, 0.0), np.full(81, -1.0), along, np.full(81, 0.05)])
+    surfaces = find_surfaces(Seen(p, np.tile([0.0, -1.0], (243, 1)), sights, path))
+    assert surfaces is not None
+    is_wall = weigh_sides(surfaces, wall_model()).is_wall[1, -1]
+    planes = np.round((np.array([0.05, 0.1, 0.15]) - surfaces.low[1]) / LINE_M).astype(int)
+    begin, end = np.round((np.array([-1.5, 1.5]) - surfaces.low[0]) / PIECE_M).astype(int)
+    assert not is_wall[planes, begin:end].any()
 
 
 def test_a_wall_with_a_door_parts_two_rooms_and_an_open_side_does_not() -> None:
