@@ -62,7 +62,7 @@ def lay_on_imu(
     state = replace(state, motion=terms.start((turned @ v_world[:, :, None])[:, :, 0]))
     adjuster = by_motions(terms, damping=1e-8)
     rays, kept = made.rays, made.tracks
-    scales = LAST_SCALES
+    scales: tuple[float, ...] = LAST_SCALES
     for left in reversed(range(ROUNDS)):
         state, kept = refine(state, made.tracks, rays, adjuster, camera.camera, scales)
         if left:
