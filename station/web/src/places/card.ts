@@ -58,7 +58,8 @@ export class PlaceView {
     const hasAnswer = place.t_robot_ns !== null;
     card.dataset.state = place.map === null ? "none" : hasAnswer ? place.state : "waiting";
     const words = { known: "", unknown: "Unknown place", lost: "Where am I?" };
-    const noAnswer = place.map === null ? "No map in use" : place.preparing === null ? "No answer yet" : "Getting ready…";
+    const noAnswer =
+      place.map === null ? "No map in use" : place.preparing === null ? "No answer yet" : "Getting ready…";
     const otherwise = hasAnswer && place.map !== null ? words[place.state] : noAnswer;
     const room = roomInWords(place);
     setText(by("place-name"), room ?? place.place?.name ?? otherwise);
