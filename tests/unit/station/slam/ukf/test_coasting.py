@@ -60,3 +60,15 @@ def test_a_command_holds_until_the_next_however_long_that_takes() -> None:
     backend.add_drive(DriveSample(0, 0.3, 0.0))  # a recording has no other while it stays the same
     rolled = [backend._rolled_m(k * FRAME_NS) or 0.0 for k in range(1, 41)]
     assert sum(rolled) == pytest.approx(0.3 * (2.0 - MOTOR_LAG_S), rel=1e-3)
+
+
+def test_wheels_of_a_robot_that_was_lifted_count_again_once_it_is_tracked() -> None:
+    """From the floor on to the drive's end; only while it is in somebody's hands they carry it nowhere."""
+    backend = UkfBackend(REFERENCE_ROBOT)
+    backend._is_lifted = True  # as it stays until tracking is lost again
+    backend.add_drive(DriveSample(0, 0.3, 0.0))
+    ways = [backend._rolled_m(k * FRAME_NS) for k in range(1, 41)]
+    assert None not in ways and ways[-1] == pytest.approx(0.3 * FRAME_NS * 1e-9, rel=1e-3)
+    assert backend._coasted_m(ways[-1]) is None and backend._coasted_m(None) is None
+    backend._is_lifted = False
+    assert backend._coasted_m(1.0) == backend._wheels_known.efficiency
