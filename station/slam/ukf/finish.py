@@ -113,6 +113,7 @@ def _from_views(
         facts["mapped_from"] = "tracks"
         corrected_camera = CameraModel.of(made.camera.camera, camera.sigma_px)
         items = [moved_along(k, memory.poses, servo_errors, corrected_camera) for k in memory.keyframes.items]
+        items = [replace(k, segment=made.piece_of.get(k.segment, k.segment)) for k in items]
         keyframes = _keyframes(items, corrected_camera)
         landmarks = make_landmarks(items, corrected_camera, config.quality, made.camera.late_s)
     return _Made(calibration, keyframes, landmarks, made.camera.judged(), facts, [])

@@ -77,6 +77,7 @@ class ViewMap:
     num_loops: int
     median_error_px: float
     shows_little: bool  # tracks give many times more landmarks
+    piece_of: dict[int, int]  # by segment with views: the number that its keyframes have
 
 
 def map_views(
@@ -153,7 +154,8 @@ def map_views(
         for segment in sorted({v.segment for v in items}):
             at = [k for k, v in enumerate(items) if v.segment == segment]
             poses.follow([items[k].frame_index for k in at], T_filter[at], T_new[at], segment)
-    return ViewMap(*_join(in_order), camera, loops, float(np.mean(errors)), shows_little)
+    piece_of = {v.segment: items[0].segment for _, items in in_order for v in items}
+    return ViewMap(*_join(in_order), camera, loops, float(np.mean(errors)), shows_little, piece_of)
 
 
 def _T_world_body(keyframe: Keyframe) -> FloatArray:
