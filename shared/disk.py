@@ -135,7 +135,7 @@ def replacing_folder(folder: Path) -> Iterator[Path]:
     """A new folder to fill, which takes the place of `folder` when the block ends and then survives a power cut.
 
     Where the block raises, or the new one cannot take the name, the old one stays. Where the program is killed while
-    the two exchange their name, `settle_folders` gives it back to the old one, on a disk that locks files.
+    the two exchange their name, `settle_folders` gives it back to the old one, if folders can be locked there.
     """
     scratch, descriptor = _new_scratch_folder(folder.parent)
     fresh, old = scratch / "fresh", scratch / _BEFORE / folder.name
