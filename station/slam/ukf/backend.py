@@ -156,7 +156,8 @@ class UkfBackend:
         self.newest = current
         if self._filter is None:
             if self._lost_since is not None:
-                self._coasting.advance(segment, t_imu, self._coasted_m(way_m))
+                efficiency = self._wheels_known.efficiency
+                self._coasting.advance(segment, t_imu, None if way_m is None else efficiency * way_m)
             update = self._wait_for_start(current, is_still)
         else:
             update = self._track(self._filter, current, segment, is_still, way_m)
@@ -456,16 +457,16 @@ class UkfBackend:
         return driven_velocity(current.wheels, lag_m_s)
 
     def _rolled_m(self, t_imu: int) -> float | None:
-        """Way of the wheels since the last frame, as if nothing slipped; None where there are none."""
+        """Way of the wheels since the last frame, as if nothing slipped.
+
+        None where there are none, or the robot is in somebody's hands.
+        """
         before = self._way_m  # not the wheel's own: each command has taken it on since
         self._wheel_speed.advance(t_imu)
         self._way_m = self._wheel_speed.way_m
         rolled_m = self._way_m - before
-        return rolled_m if self._calibration.has_wheels else None
-
-    def _coasted_m(self, way_m: float | None) -> float | None:
-        """How far wheels carried the robot while nothing was tracked; None where that was in somebody's hands, too."""
-        return None if way_m is None or self._is_lifted else self._wheels_known.efficiency * way_m
+        is_held = self._is_lifted and self._filter is None
+        return rolled_m if self._calibration.has_wheels and not is_held else None
 
     def _anchor(self, reason: str, state: FilterState) -> Anchor:
         """Where the next segment begins: where wheels have carried the robot, else the last known place; and biases."""

@@ -183,7 +183,7 @@ def with_way(
     """The link between two frames with what wheels say of the way between them: as sure as of the velocity at its end.
 
     Args:
-        way_m: of the wheels, as if nothing slipped; None: there are none.
+        way_m: of the wheels, as if nothing slipped; None: they do not carry the robot.
         max_speed_m_s: where wheels say nothing.
     """
     if link is None or way_m is None or wheels is None:

@@ -295,7 +295,7 @@ def test_ways_of_all_frames_join_to_the_arc_and_are_as_sure_as_so_many_velocitie
     anything = with_way(link, speed * dt, blocked, 15.0)
     assert anything is not None and anything.rolled is not None
     assert np.linalg.eigvalsh(anything.rolled.covariance)[-1] == pytest.approx((15.0 * dt) ** 2)
-    assert with_way(link, None, wheels, 15.0) is link  # without wheels
+    assert with_way(link, None, wheels, 15.0) is link  # in somebody's hands
 
 
 @pytest.mark.parametrize("kind", KINDS)
