@@ -85,7 +85,7 @@ def _from_views(
     """Loops closed and everything refined, by the camera as the drive's end knows it.
 
     Where views show little beside what was followed, their map places the keyframes and tracks are its landmarks.
-    None where there are no views, or they share nothing.
+    None where there are no views, or they share next to nothing.
     """
     if memory.views is None:
         return None
