@@ -18,6 +18,7 @@ from typing import IO, BinaryIO
 SCRATCH = ".part-"  # what a killed writer leaves behind begins with this
 _OUR_SCRATCH = re.compile(re.escape(SCRATCH) + "[0-9a-f]{16}")
 _NEW, _BEFORE = ".new-", "before"
+_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
 PRIVATE = 0o600  # the mode of a file that only its owner may read
 _LOOK_AGAIN_S = 0.05
 _ON_DISK = Path("/var/tmp")  # /tmp may be memory itself  # noqa: S108  # nosec B108
@@ -134,51 +135,60 @@ def replacing_folder(folder: Path) -> Iterator[Path]:
     """A new folder to fill, which takes the place of `folder` when the block ends and then survives a power cut.
 
     Where the block raises, or the new one cannot take the name, the old one stays. Where the program is killed while
-    the two exchange their name, `settle_folders` gives it back to the old one.
+    the two exchange their name, `settle_folders` gives it back to the old one, if folders can be locked there.
     """
-    scratch = Path(tempfile.mkdtemp(prefix=_NEW, dir=folder.parent))
+    scratch, descriptor = _new_scratch_folder(folder.parent)
     fresh, old = scratch / "fresh", scratch / _BEFORE / folder.name
     try:
-        with _opened(scratch) as descriptor:
-            _lock_where_possible(descriptor)
-            fresh.mkdir()
-            yield fresh
-            for path in (fresh, *fresh.rglob("*")):
-                flush(path)
-            had_one = folder.exists()
-            if had_one:
-                old.parent.mkdir()
-                folder.rename(old)
-            try:
-                fresh.rename(folder)
-            except OSError:
-                if had_one:
-                    old.rename(folder)
-                raise
-            flush(folder.parent)
+        fresh.mkdir()
+        yield fresh
+        for path in (fresh, *fresh.rglob("*")):
+            flush(path)
+        if folder.exists():
+            old.parent.mkdir()
+            folder.rename(old)
+        fresh.rename(folder)
+        flush(folder.parent)
     finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+        with contextlib.suppress(OSError):
+            _settle(scratch)
+        os.close(descriptor)
+
+
+def _new_scratch_folder(parent: Path) -> tuple[Path, int]:
+    """A new folder and its descriptor; locked until that is closed, so that `settle_folders` leaves it."""
+    while True:
+        scratch = Path(tempfile.mkdtemp(prefix=_NEW, dir=parent))
+        with contextlib.suppress(FileNotFoundError):  # it was removed before it was locked
+            descriptor = os.open(scratch, _FOLDER)
+            _lock_where_possible(descriptor)
+            if scratch.exists():
+                return scratch, descriptor
+            os.close(descriptor)
 
 
 def settle_folders(parent: Path) -> None:
     """Put right what killed programs left of `replacing_folder` in this folder. What is being written stays."""
     for scratch in parent.glob(f"{_NEW}*"):
-        with contextlib.suppress(OSError), _opened(scratch) as descriptor:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            for old in (scratch / _BEFORE).glob("*"):
-                if not (parent / old.name).exists():
-                    old.rename(parent / old.name)
-                    flush(parent)
-            shutil.rmtree(scratch)
+        with contextlib.suppress(OSError):
+            descriptor = os.open(scratch, _FOLDER)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                _settle(scratch)
+            finally:
+                os.close(descriptor)
 
 
-@contextlib.contextmanager
-def _opened(folder: Path) -> Iterator[int]:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    try:
-        yield descriptor
-    finally:
-        os.close(descriptor)
+def _settle(scratch: Path) -> None:
+    """Give an old folder its name back where no new one has taken it, and remove the rest.
+
+    Raises OSError, and removes nothing, where it cannot be given back.
+    """
+    for old in (scratch / _BEFORE).glob("*"):
+        if not (scratch.parent / old.name).exists():
+            old.rename(scratch.parent / old.name)
+            flush(scratch.parent)
+    shutil.rmtree(scratch, ignore_errors=True)
 
 
 def _lock_where_possible(descriptor: int) -> None:

@@ -320,13 +320,13 @@ class Station:
     async def delete_navigation(self, navigation_id: str) -> None:
         """Into the bin. Raises Unknown, Conflict."""
         await self.navigations.delete(navigation_id)
-        await self.empty_bin(everything=False)
+        await self._tidy_bin()
 
     async def delete_map(self, map_id: str) -> None:
         """Into the bin. Raises Unknown, Conflict."""
         if await self.maps.delete(map_id):
             await self._look_in_active_maps()
-        await self.empty_bin(everything=False)
+        await self._tidy_bin()
 
     async def restore_navigation(self, navigation_id: str) -> NavigationRecord:
         """Raises Unknown."""
@@ -341,15 +341,22 @@ class Station:
         return summary
 
     async def empty_bin(self, everything: bool) -> None:
-        """Delete for good what is due, or everything in the bin."""
+        """Delete for good what is due, or everything in the bin. Raises why not, where one could not be: others are."""
         await self._look_into_bin()
+        failed: list[RobotSystemError | OSError] = []
         for entry in self.bin.list() if everything else self.bin.due(time.time()):
-            if entry.kind == "map":
-                await self.maps.purge(entry.id)
-            else:
-                await asyncio.to_thread(self.navigations.library.purge, entry.id)
+            try:
+                if entry.kind == "map":
+                    await self.maps.purge(entry.id)
+                else:
+                    await asyncio.to_thread(self.navigations.library.purge, entry.id)
+            except (RobotSystemError, OSError) as exc:
+                failed.append(exc)
+                continue
             logger.info("deleted %s %s for good", entry.kind, entry.id)
         await self._look_into_bin()
+        if failed:
+            raise failed[0]
 
     async def _look_into_bin(self) -> None:
         navigations = await asyncio.to_thread(self.navigations.library.deleted)
@@ -434,7 +441,7 @@ class Station:
         try:
             await self.empty_bin(everything=False)
         except (RobotSystemError, OSError) as exc:
-            self.events.notify("map", f"the bin could not be looked through: {exc}", "warning")
+            self.events.notify("map", f"what is due in the bin could not be deleted for good: {exc}", "warning")
 
     async def _tidy_up(self, interrupted: list[NavigationRecord]) -> None:
         """Remove what a killed station left half-written, recover what it cut off, remove what is beyond the limits."""

@@ -20,9 +20,8 @@ from station.model.frames import DriveSample
 REPORT_NS = 80_000_000  # reports come every 50 to 67 ms; over a longer silence nothing had changed
 MEMORY_NS = 30_000_000_000  # frames may wait that long for their turn
 SETTLE_NS = 100_000_000  # so long a servo takes to follow a change of speed
-# The error at these angles is learned. So far apart two angles have errors of their own; in between the curve is taken
-# for straight, which must be off by less than the play.
-CORRELATION_RAD = np.radians(20.0)
+CORRELATION_RAD = np.radians(20.0)  # so far apart two angles have errors of their own
+# The error at these angles is learned; in between the curve is taken for straight, which is off by less than the play.
 PAN_KNOTS, TILT_KNOTS = np.radians(np.arange(-75.0, 76.0, 7.5)), np.radians(np.arange(-45.0, 46.0, 7.5))
 SIGMA_LAG_S = 0.02  # between one servo and another
 # What nobody can foresee: how large it gets, and by how much it changes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import shutil
 from contextlib import aclosing
 from pathlib import Path
@@ -12,7 +13,9 @@ import websockets
 
 from shared.mcap_recording import recorded_pictures
 from station.api.streams import HEADER
+from station.files.unwritable import cannot_write
 from station.library.bin import KEEP_S, MAX_KEPT, Bin
+from station.library.navigation_records import NavigationLibrary
 from station.recordings.playback import replay
 from tests.support.link import until
 from tests.support.station import Desk, Film, running_station, store_map
@@ -59,6 +62,38 @@ async def test_an_emptied_bin_is_empty_on_the_disk(tmp_path: Path) -> None:
         assert (await desk.http.delete("/bin")).status_code == 204
         assert (await desk.http.get("/bin")).json() == []
     assert not list((tmp_path / "navigations" / ".bin").iterdir())
+
+
+async def test_what_cannot_be_deleted_for_good_keeps_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Such as what another account has written: the rest of the bin goes, and what is deleted meanwhile is."""
+    for number in (1, 2, 3):
+        keep_navigation(tmp_path, f"nav-{number}")
+    purge = NavigationLibrary.purge
+
+    def purge_others(library: NavigationLibrary, navigation_id: str) -> None:
+        if navigation_id == "nav-2":
+            raise cannot_write(tmp_path, OSError(errno.EACCES, "Permission denied"))
+        purge(library, navigation_id)
+
+    monkeypatch.setattr(NavigationLibrary, "purge", purge_others)
+    async with running_station(1, tmp_path) as desk:
+        http = desk.http
+
+        async def left() -> list[str]:
+            return [entry["id"] for entry in (await http.get("/bin")).json()]
+
+        for number in (1, 2):
+            assert (await http.delete(f"/navigations/nav-{number}")).status_code == 204
+        assert await left() == ["nav-2", "nav-1"]
+        assert is_problem(await http.delete("/bin"), 409)
+        assert await left() == ["nav-2"]
+        monkeypatch.setattr(Bin, "due", lambda self, _now_s: self.list())
+        assert (await http.delete("/navigations/nav-3")).status_code == 204
+        assert await left() == ["nav-2"]
+        log = [line["text"] for line in (await http.get("/log")).json()]
+        assert any("could not be deleted for good" in text for text in log)
 
 
 def test_the_bin_gives_up_what_is_old_or_too_much(tmp_path: Path) -> None:

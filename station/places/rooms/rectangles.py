@@ -25,7 +25,7 @@ from station.places.space.space import Cells
 MOST_PLANES = 20  # for each of the four sides: the strongest
 MOST_OPEN = 8  # ... and, for open ones, the strongest of the opposite side
 LEAST_M = 0.9  # a robot drives into nothing narrower
-PRICE_M = PIECE_M  # between the points of the ground that have a price: rectangles overlap between them
+PRICE_M = PIECE_M  # between the points of the ground that have a price: what lies between two may be two rooms'
 COLUMNS = 12  # new rectangles of a round
 ROUNDS = 60
 SAME = 0.7  # overlap (IoU) from which two new rectangles are nearly one

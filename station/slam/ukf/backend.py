@@ -465,7 +465,8 @@ class UkfBackend:
         self._wheel_speed.advance(t_imu)
         self._way_m = self._wheel_speed.way_m
         rolled_m = self._way_m - before
-        return rolled_m if self._calibration.has_wheels and not self._is_lifted else None
+        is_held = self._is_lifted and self._filter is None
+        return rolled_m if self._calibration.has_wheels and not is_held else None
 
     def _anchor(self, reason: str, state: FilterState) -> Anchor:
         """Where the next segment begins: where wheels have carried the robot, else the last known place; and biases."""

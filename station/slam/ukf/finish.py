@@ -85,7 +85,7 @@ def _from_views(
     """Loops closed and everything refined, by the camera as the drive's end knows it.
 
     Where views show little beside what was followed, their map places the keyframes and tracks are its landmarks.
-    None where there are no views, or they share nothing.
+    None where there are no views, or they share next to nothing.
     """
     if memory.views is None:
         return None
@@ -113,6 +113,7 @@ def _from_views(
         facts["mapped_from"] = "tracks"
         corrected_camera = CameraModel.of(made.camera.camera, camera.sigma_px)
         items = [moved_along(k, memory.poses, servo_errors, corrected_camera) for k in memory.keyframes.items]
+        items = [replace(k, segment=made.piece_of.get(k.segment, k.segment)) for k in items]
         keyframes = _keyframes(items, corrected_camera)
         landmarks = make_landmarks(items, corrected_camera, config.quality, made.camera.late_s)
     return _Made(calibration, keyframes, landmarks, made.camera.judged(), facts, [])

@@ -8,6 +8,7 @@ import stat
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -107,19 +108,24 @@ def test_what_a_killed_writer_left_is_removed_and_what_is_being_written_stays(tm
     assert (tmp_path / "y").read_bytes() == NEW and names(tmp_path) == [foreign.name, "deep", "y"]
 
 
-def test_a_writer_whose_file_is_taken_for_a_killed_ones_makes_another(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def look_before_the_first_lock(look: Callable[[Path], None], folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a program does that starts after another has made its file or folder, and before that is locked."""
     lock_really, looks = fcntl.flock, iter([True])
 
     def lock_late(descriptor: int, kind: int) -> None:
         if next(looks, False):
             with monkeypatch.context() as others:
                 others.setattr(fcntl, "flock", lock_really)
-                remove_scratch(tmp_path)
+                look(folder)
         lock_really(descriptor, kind)
 
     monkeypatch.setattr(fcntl, "flock", lock_late)
+
+
+def test_a_writer_whose_file_is_taken_for_a_killed_ones_makes_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    look_before_the_first_lock(remove_scratch, tmp_path, monkeypatch)
     replace_file(tmp_path / "x", NEW)
     assert (tmp_path / "x").read_bytes() == NEW and names(tmp_path) == ["x"]
 
@@ -191,6 +197,55 @@ def test_a_folder_whose_writer_is_killed_is_the_old_one_again(tmp_path: Path, wh
     assert len(list(tmp_path.glob(".new-*"))) == 1
     settle_folders(tmp_path)
     assert names(tmp_path) == ["f"] and names(folder) == ["old"]
+
+
+def test_a_writer_whose_folder_is_taken_for_a_killed_ones_makes_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    look_before_the_first_lock(settle_folders, tmp_path, monkeypatch)
+    with replacing_folder(tmp_path / "f") as fresh:
+        (fresh / "new").touch()
+    assert names(tmp_path) == ["f"] and names(tmp_path / "f") == ["new"]
+
+
+def test_a_folder_whose_writer_is_interrupted_between_the_names_is_the_old_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with replacing_folder(tmp_path / "f") as fresh:
+        (fresh / "old").touch()
+    rename_really, interrupts = Path.rename, iter([KeyboardInterrupt()])
+
+    def rename(path: Path, target: Path) -> Path:
+        moved = rename_really(path, target)
+        for interrupt in interrupts:
+            raise interrupt
+        return moved
+
+    monkeypatch.setattr(Path, "rename", rename)
+    with pytest.raises(KeyboardInterrupt), replacing_folder(tmp_path / "f") as fresh:
+        (fresh / "new").touch()
+    assert names(tmp_path) == ["f"] and names(tmp_path / "f") == ["old"]
+
+
+def test_an_old_folder_that_cannot_be_given_its_name_back_now_is_at_the_next_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with replacing_folder(tmp_path / "f") as fresh:
+        (fresh / "old").touch()
+    rename_really, works = Path.rename, iter([True])
+
+    def rename(path: Path, target: Path) -> Path:
+        if next(works, False):
+            return rename_really(path, target)
+        raise OSError(5, "Input/output error")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(Path, "rename", rename)
+        with pytest.raises(OSError, match="Input/output"), replacing_folder(tmp_path / "f") as fresh:
+            (fresh / "new").touch()
+    assert not (tmp_path / "f").exists()
+    settle_folders(tmp_path)
+    assert names(tmp_path) == ["f"] and names(tmp_path / "f") == ["old"]
 
 
 def test_a_folder_that_is_being_filled_is_left_alone(tmp_path: Path) -> None:

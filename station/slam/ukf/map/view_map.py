@@ -42,6 +42,7 @@ SMOOTHED_SCALES = Scales(first=(), loop=(10.0,))  # poses that least squares has
 # SIFT cannot tell the fields of a chessboard apart: tracks give 4 to 6 times as many landmarks there. Before plain
 # walls they give up to twice as many, and those of views are recognised again (docs/studies/ukf-map.md).
 MAX_TRACKS_PER_LANDMARK = 3
+MIN_SHOWN = 3  # landmarks of a view: as many as say where it is; by fewer IMU and wheels alone would
 # How wrong the filter's motion between neighbouring views may be beside its scale; one sigma. Twice its scatter, since
 # errors of ten neighbours add up to 1.7 times what independent ones would (docs/decisions/0023-metre-of-a-map.md).
 SIGMA_SHARE = 0.02  # of the way
@@ -77,6 +78,7 @@ class ViewMap:
     num_loops: int
     median_error_px: float
     shows_little: bool  # tracks give many times more landmarks
+    piece_of: dict[int, int]  # by segment with views: the number that its keyframes have
 
 
 def map_views(
@@ -101,7 +103,7 @@ def map_views(
         better: whose equations hold the IMU, so that they are asked in place of the filter's motions.
         count_tracks: how many landmarks tracks give.
 
-    None where views have no landmarks.
+    None where views have no landmarks, or tracks give many times more and most views show too few to be placed by them.
     """
     parts: dict[int, tuple[Reconstructed, list[View]]] = {}
     loops, errors = 0, []
@@ -141,10 +143,12 @@ def map_views(
         loops += made.num_loops
         errors.append(made.median_error_px)
     in_order = [parts[number] for number in sorted(parts)]
-    num_landmarks = sum(len(part.landmarks) for part, _ in in_order)
-    if num_landmarks == 0:
+    if not any(len(part.landmarks) for part, _ in in_order):
         return None
-    shows_little = MAX_TRACKS_PER_LANDMARK * num_landmarks < count_tracks()
+    keyframes, landmarks = _join(in_order)
+    shows_little = MAX_TRACKS_PER_LANDMARK * len(landmarks) < count_tracks()
+    if shows_little and not _are_placed(keyframes, landmarks):
+        return None
     for part, items in in_order:
         T_filter = np.array([_T_world_body(v.keyframe) for v in items])
         T_new = (
@@ -153,7 +157,14 @@ def map_views(
         for segment in sorted({v.segment for v in items}):
             at = [k for k, v in enumerate(items) if v.segment == segment]
             poses.follow([items[k].frame_index for k in at], T_filter[at], T_new[at], segment)
-    return ViewMap(*_join(in_order), camera, loops, float(np.mean(errors)), shows_little)
+    piece_of = {v.segment: items[0].segment for _, items in in_order for v in items}
+    return ViewMap(keyframes, landmarks, camera, loops, float(np.mean(errors)), shows_little, piece_of)
+
+
+def _are_placed(keyframes: Keyframes, landmarks: Landmarks) -> bool:
+    """Whether most views show landmarks enough: the filter's poses know of all tracks, which IMU and wheels do not."""
+    shown = np.bincount(landmarks.observed_keyframe, minlength=len(keyframes))
+    return bool(np.median(shown) >= MIN_SHOWN)
 
 
 def _T_world_body(keyframe: Keyframe) -> FloatArray:

@@ -17,10 +17,13 @@ from station.slam.mapping.odometry_bundle import BundleState
 NOISE = ImuNoise(gyro_density=1e-4, accel_density=1e-3, gyro_walk=1e-5, accel_walk=1e-4, rate_hz=200.0)
 STEP_S, VIEWS, DT_S = 0.4, 25, 0.005
 SIGMA_WAY_M = 0.01  # between two views, by the wheels
+SPREAD = np.array([[2.0, 0.7, 0.0], [0.7, 0.5, 0.1], [0.0, 0.1, 1.0]])  # its covariance, in squares of that
 UNKNOWN_WAY = 7  # the link along which they do not say it
 
 
-def stop_and_go(pan: FloatArray | None = None, has_wheels: bool = True) -> tuple[BundleState, InertialTerms]:
+def stop_and_go(
+    pan: FloatArray | None = None, has_wheels: bool = True, spread: FloatArray = SPREAD
+) -> tuple[BundleState, InertialTerms]:
     """A robot that goes back and forth along x without turning, and the terms of its readings.
 
     `pan`: (VIEWS,) rad, of a head that looks about: the poses are the head's.
@@ -37,7 +40,7 @@ def stop_and_go(pan: FloatArray | None = None, has_wheels: bool = True) -> tuple
         fall = np.array([0.0, 0.0, -9.81])
         v[k + 1] = v[k] + link.dv + fall * STEP_S
         x[k + 1] = x[k] + v[k] * STEP_S + link.dp + 0.5 * fall * STEP_S**2
-        rolled = RolledWay((x[k + 1] - x[k])[:, None], SIGMA_WAY_M**2 * np.eye(3))
+        rolled = RolledWay((x[k + 1] - x[k])[:, None], SIGMA_WAY_M**2 * spread)
         links.append(replace(link, rolled=rolled if k != UNKNOWN_WAY else None))
     wheels = WheelTerms(np.array([1.0]), np.array([0.02])) if has_wheels else None
     head = None if pan is None else head_looking(pan)
@@ -92,11 +95,20 @@ def test_a_path_of_another_scale_costs_more(pan: FloatArray | None) -> None:
         assert terms.cost(larger) > 10.0
 
 
+def test_a_way_counts_by_its_covariance() -> None:
+    off, cost = np.array([2e-4, -3e-4, 1e-4]), []  # little, so that the robust loss is a square
+    for has_wheels in (True, False):
+        state, terms = stop_and_go(has_wheels=has_wheels)
+        step = np.outer(np.arange(VIEWS) > UNKNOWN_WAY + 5, off)
+        cost.append(terms.cost(replace(state, p_world_body=state.p_world_body + step)))
+    assert cost[0] - cost[1] == pytest.approx(off @ np.linalg.solve(SPREAD, off) / SIGMA_WAY_M**2, rel=1e-3)
+
+
 def test_wheels_hold_together_what_lies_between_two_views() -> None:
     """Their speed at each view alone said little of the way between, and views that see nothing came apart."""
     cost = []
     for has_wheels in (True, False):
-        state, terms = stop_and_go(has_wheels=has_wheels)
+        state, terms = stop_and_go(has_wheels=has_wheels, spread=np.eye(3))
         step = np.outer(np.arange(VIEWS) > UNKNOWN_WAY, [0.0, 0.02, 0.0])  # where wheels say nothing
         step += np.outer(np.arange(VIEWS) > UNKNOWN_WAY + 5, [0.0, 0.05, 0.0])
         cost.append(terms.cost(replace(state, p_world_body=state.p_world_body + step)))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -60,3 +62,13 @@ def test_a_command_holds_until_the_next_however_long_that_takes() -> None:
     backend.add_drive(DriveSample(0, 0.3, 0.0))  # a recording has no other while it stays the same
     rolled = [backend._rolled_m(k * FRAME_NS) or 0.0 for k in range(1, 41)]
     assert sum(rolled) == pytest.approx(0.3 * (2.0 - MOTOR_LAG_S), rel=1e-3)
+
+
+def test_wheels_of_a_robot_that_was_lifted_count_again_once_it_is_tracked() -> None:
+    backend = UkfBackend(REFERENCE_ROBOT)
+    backend._is_lifted = True  # when tracking was lost, and so it stays until that happens again
+    backend.add_drive(DriveSample(0, 0.3, 0.0))
+    assert [backend._rolled_m(k * FRAME_NS) for k in range(1, 21)] == [None] * 20
+    followed: Any = object()
+    backend._filter = followed
+    assert backend._rolled_m(21 * FRAME_NS) == pytest.approx(0.3 * FRAME_NS * 1e-9, rel=1e-2)

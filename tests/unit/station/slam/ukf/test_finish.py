@@ -77,15 +77,17 @@ def test_tracks_are_triangulated_where_the_map_of_views_has_put_the_keyframes(mo
     memory: Any = SimpleNamespace(
         views=(), poses=PoseLog(), calibration_check=SimpleNamespace(finish=lambda: None), keyframes=SimpleNamespace()
     )
-    memory.keyframes.items = [seen_from(np.array([0.0, 0.1 * k, 0.0]), k, points, built) for k in range(6)]
+    seen = [seen_from(np.array([0.0, 0.1 * k, 0.0]), k, points, built) for k in range(6)]
+    memory.keyframes.items = [replace(keyframe, segment=k // 4) for k, keyframe in enumerate(seen)]
     for k in range(6):
-        memory.poses.add(k, k, se3(np.eye(3), np.array([0.0, 0.13 * k, 0.0])), 0)  # the filter's scale is off
+        memory.poses.add(k, k, se3(np.eye(3), np.array([0.0, 0.13 * k, 0.0])), k // 4)  # the filter's scale is off
 
     def map_views(_views: Any, poses: PoseLog, camera: CameraFit, *_: Any) -> ViewMap:
         for k in range(6):
             poses.improve(k, se3(np.eye(3), np.array([0.0, 0.1 * k, 0.0])))
         nothing: Any = ()
-        return ViewMap(nothing, nothing, replace(camera, camera=REFERENCE_CAMERA), 3, 0.4, shows_little=True)
+        mapped = replace(camera, camera=REFERENCE_CAMERA)
+        return ViewMap(nothing, nothing, mapped, 3, 0.4, shows_little=True, piece_of={0: 0, 1: 0})
 
     monkeypatch.setattr(finish, "map_views", map_views)
     nav = finish.make_navigation(
@@ -94,6 +96,7 @@ def test_tracks_are_triangulated_where_the_map_of_views_has_put_the_keyframes(mo
     assert nav.report.config["mapped_from"] == "tracks" and nav.report.told_camera == told
     assert nav.calibration.camera == REFERENCE_CAMERA
     assert np.allclose(nav.keyframes.T_world_cam, nav.trajectory.T_world_body @ REFERENCE_CAMERA.T_body_cam_matrix)
+    assert not nav.keyframes.segment.any()  # wheels carried it on, and views mapped both as one
     assert len(nav.landmarks) > 20
     nearest = np.linalg.norm(nav.landmarks.p_world[:, None] - points[None], axis=2).min(axis=1)
     assert nearest.max() < 1e-3

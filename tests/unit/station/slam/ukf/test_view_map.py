@@ -7,7 +7,7 @@ import numpy as np
 
 from shared.calibration import REFERENCE_HEAD
 from station.motion.head import NUM_ERRORS, PAN_KNOTS, PLAY, HeadPose, HeadThen
-from station.slam.ukf.map.view_map import head_terms
+from station.slam.ukf.map.view_map import _are_placed, head_terms
 
 
 def view(head: HeadThen | None, as_known_then: HeadPose | None = None) -> Any:
@@ -31,3 +31,11 @@ def test_the_map_has_the_head_where_the_drives_end_knows_it_to_have_been() -> No
 
 def test_a_head_that_was_never_turned_adds_nothing_to_the_map() -> None:
     assert head_terms([view(None), view(None)], np.zeros(NUM_ERRORS)) is None
+
+
+def test_views_of_which_most_show_next_to_nothing_place_no_keyframes() -> None:
+    """The filter has followed tracks there; the map would know of the IMU and the wheels only."""
+    views: Any = range(5)
+    for shown, expected in (([3, 3, 3, 0, 0], True), ([9, 9, 2, 2, 2], False)):
+        landmarks: Any = SimpleNamespace(observed_keyframe=np.repeat(np.arange(5), shown))
+        assert _are_placed(views, landmarks) == expected
