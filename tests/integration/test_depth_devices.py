@@ -29,7 +29,7 @@ from tests.support.recordings import HELLO, START_NS, frame
 
 SENSOR = depth_camera(32, 24)
 WITH_DEPTH = msgspec.structs.replace(REFERENCE_ROBOT, depth=SENSOR)
-WAIT_S = 60.0
+WAIT_S = 90.0
 
 
 @pytest.fixture

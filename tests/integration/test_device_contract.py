@@ -36,7 +36,7 @@ from shared.pictures import depth_png
 from tests.support import mock_gpio, pi_stubs
 from tests.support.emulator import board
 
-WAIT_S = 60.0  # generous: a loaded machine must not fail a test
+WAIT_S = 90.0  # generous: a loaded machine must not fail a test
 SETTINGS = Path("/etc/sentinel/robot.toml")  # of a real robot, whichever way it is wired
 
 

@@ -27,7 +27,7 @@ from robot.simulation.config import SimulationConfig
 from shared.errors import ConfigError, DeviceLost, DeviceUnavailable
 from tests.support.tags import detect_tags
 
-WAIT_S = 60.0
+WAIT_S = 90.0
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ pytestmark = [
     pytest.mark.skipif(board.missing_reason() is not None, reason=board.missing_reason() or ""),
     pytest.mark.slow,
 ]
-WAIT_S = 60.0
+WAIT_S = 90.0
 # 250 ms at the station or robot-server, 300 ms in the firmware, the ramp; a busy PC delays all but the Mega's own part.
 REST_US = 3_000_000
 
