@@ -164,7 +164,7 @@ def own_cluster(folder: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes
                 command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *options, "--no-dashboard"]
                 command += ["--scheduler-file", str(file)]
                 programs.append(subprocess.Popen(command, stdout=log, stderr=log, env=env))
-            wait_until(file.is_file)
+            wait_until(lambda: file.is_file() and file.stat().st_size > 0)  # the scheduler makes it, then writes it
             address = json.loads(file.read_text())["address"].replace("tcp://", "dask://")
             yield address, programs
         finally:

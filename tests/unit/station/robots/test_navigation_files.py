@@ -20,7 +20,7 @@ def test_the_names_of_a_new_navigation_are_flushed_up_to_the_data_folder(
     monkeypatch.setattr(os, "fsync", lambda fd: flushed.append(Path(os.readlink(f"/proc/self/fd/{fd}"))))
     library = NavigationLibrary(tmp_path / "data" / "navigations")
     library.open()
-    assert flushed == [tmp_path, tmp_path / "data"]
+    assert flushed == [tmp_path, tmp_path / "data", tmp_path / "data" / "navigations"]  # the last for the bin
     del flushed[:]
     navigation, recorder = make_navigation(
         library, lambda path: Recorder(path, min_free_bytes=0), HELLO, "Flat", "sfm", "attic"
