@@ -344,7 +344,7 @@ class Station:
         """Delete for good what is due, or everything in the bin. Raises why not, where one could not be: others are."""
         await self._look_into_bin()
         failed: list[RobotSystemError | OSError] = []
-        for entry in self.bin.list() if everything else self.bin.due(time.time()):
+        for entry in self.bin.list() if everything else self.bin.due():
             try:
                 if entry.kind == "map":
                     await self.maps.purge(entry.id)
@@ -366,7 +366,7 @@ class Station:
             "map": [(summary.id, summary.name) for summary in maps],
         }
         try:
-            await asyncio.to_thread(self.bin.update, there, time.time())
+            await asyncio.to_thread(self.bin.update, there, time.time(), time.monotonic())
         except DataError as exc:  # what was deleted is, and on a full disk the bin is what there is to empty
             text = f"when something was deleted will be forgotten at the next start: {exc}"
             self.events.notify("map", text, "warning")

@@ -14,7 +14,7 @@ import websockets
 from shared.mcap_recording import recorded_pictures
 from station.api.streams import HEADER
 from station.files.unwritable import cannot_write
-from station.library.bin import KEEP_S, MAX_KEPT, Bin
+from station.library.bin import KEEP_S, Bin
 from station.library.navigation_records import NavigationLibrary
 from station.recordings.playback import replay
 from tests.support.link import until
@@ -89,25 +89,11 @@ async def test_what_cannot_be_deleted_for_good_keeps_nothing_else(
         assert await left() == ["nav-2", "nav-1"]
         assert is_problem(await http.delete("/bin"), 409)
         assert await left() == ["nav-2"]
-        monkeypatch.setattr(Bin, "due", lambda self, _now_s: self.list())
+        monkeypatch.setattr(Bin, "due", Bin.list)
         assert (await http.delete("/navigations/nav-3")).status_code == 204
         assert await left() == ["nav-2"]
         log = [line["text"] for line in (await http.get("/log")).json()]
         assert any("could not be deleted for good" in text for text in log)
-
-
-def test_the_bin_gives_up_what_is_old_or_too_much(tmp_path: Path) -> None:
-    full = Bin(tmp_path / "bin.json")
-    full.update({"navigation": [("old", "Old")]}, now_s=0.0)
-    names = [("old", "Old"), *((f"nav-{n}", f"Drive {n}") for n in range(MAX_KEPT))]
-    full.update({"navigation": names}, now_s=10.0)
-    assert [entry.id for entry in full.due(11.0)] == ["old"]
-    again = Bin(tmp_path / "bin.json")
-    again.open()
-    assert again.list() == full.list()
-    again.update({"navigation": names[:2]}, now_s=12.0)
-    assert {entry.id for entry in again.due(KEEP_S + 5.0)} == {"old"}
-    assert {entry.id for entry in again.due(KEEP_S + 10.0)} == {"old", "nav-0"}
 
 
 async def test_a_recording_is_played_again_at_its_own_pace(tmp_path: Path) -> None:

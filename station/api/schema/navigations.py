@@ -62,7 +62,7 @@ class BinModel(Model):
     id: str = Field(examples=["nav-20260105-101500"])
     name: str
     deleted_unix_s: float
-    gone_unix_s: float = Field(description="when it is deleted for good, at the latest")
+    gone_unix_s: float = Field(description="when it is deleted for good, where the station runs until then")
 
 
 def replay_model(navigation_id: str, navigation: Navigation, limit: int) -> ReplayModel:

@@ -44,7 +44,7 @@ export interface BinModel {
   id: string;
   name: string;
   deleted_unix_s: number;
-  /** when it is deleted for good, at the latest */
+  /** when it is deleted for good, where the station runs until then */
   gone_unix_s: number;
 }
 
