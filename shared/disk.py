@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import glob
 import math
 import os
 import re
@@ -18,6 +19,7 @@ from typing import IO, BinaryIO
 SCRATCH = ".part-"  # what a killed writer leaves behind begins with this
 _OUR_SCRATCH = re.compile(re.escape(SCRATCH) + "[0-9a-f]{16}")
 _NEW, _BEFORE = ".new-", "before"
+_NAMELESS = "old"  # what programs until 27 November 2026 called what is now `before/NAME`
 _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
 PRIVATE = 0o600  # the mode of a file that only its owner may read
 _LOOK_AGAIN_S = 0.05
@@ -135,8 +137,10 @@ def replacing_folder(folder: Path) -> Iterator[Path]:
     """A new folder to fill, which takes the place of `folder` when the block ends and then survives a power cut.
 
     Where the block raises, or the new one cannot take the name, the old one stays. Where the program is killed while
-    the two exchange their name, `settle_folders` gives it back to the old one, if folders can be locked there.
+    the two exchange their name, it is given back to the old one if folders can be locked there: by `settle_folders`,
+    by `settle_folder`, which readers call, or when this is called again.
     """
+    settle_folder(folder)
     scratch, descriptor = _new_scratch_folder(folder.parent)
     fresh, old = scratch / "fresh", scratch / _BEFORE / folder.name
     try:
@@ -167,16 +171,34 @@ def _new_scratch_folder(parent: Path) -> tuple[Path, int]:
             os.close(descriptor)
 
 
-def settle_folders(parent: Path) -> None:
-    """Put right what killed programs left of `replacing_folder` in this folder. What is being written stays."""
+def settle_folders(parent: Path, name: str) -> None:
+    """Put right what killed programs left of `replacing_folder` in a folder of ours. What is being written stays.
+
+    `name`: what is replaced there; older programs did not write it down.
+    """
     for scratch in parent.glob(f"{_NEW}*"):
-        with contextlib.suppress(OSError):
-            descriptor = os.open(scratch, _FOLDER)
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                _settle(scratch)
-            finally:
-                os.close(descriptor)
+        _settle_unless_locked(scratch, name)
+
+
+def settle_folder(folder: Path) -> None:
+    """Give a folder its name back that a killed program took from it. Others beside it may be anybody's and stay."""
+    if folder.exists():
+        return
+    for old in folder.parent.glob(f"{_NEW}*/{_BEFORE}/{glob.escape(folder.name)}"):
+        _settle_unless_locked(old.parent.parent)
+
+
+def _settle_unless_locked(scratch: Path, name: str = "") -> None:
+    with contextlib.suppress(OSError):
+        descriptor = os.open(scratch, _FOLDER)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if name and (scratch / _NAMELESS).is_dir():
+                (scratch / _BEFORE).mkdir(exist_ok=True)
+                (scratch / _NAMELESS).rename(scratch / _BEFORE / name)
+            _settle(scratch)
+        finally:
+            os.close(descriptor)
 
 
 def _settle(scratch: Path) -> None:

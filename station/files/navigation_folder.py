@@ -24,7 +24,7 @@ import numpy as np
 
 from shared.bounded import MAX_FILE_BYTES, MAX_JSON_BYTES, MAX_LINE_BYTES, MB, parse_json, read_file, shown
 from shared.calibration import Calibration, DepthCalibration
-from shared.disk import make_folder, replacing_folder
+from shared.disk import make_folder, replacing_folder, settle_folder
 from shared.errors import ConfigError, DataError
 from shared.geometry import FloatArray, IntArray, are_poses, pose, quat_from_rotation
 from shared.recorded_files import MAX_TIME_NS
@@ -75,6 +75,7 @@ def check_navigation_folder(folder: Path) -> None:
 
 def load_navigation(folder: Path) -> Navigation:
     """Read what save_navigation wrote. Raises DataError naming the file that is missing or damaged."""
+    settle_folder(folder)
     if not (folder / REPORT).is_file():
         raise DataError(f"{folder} holds no navigation (no {REPORT}); give a folder written by `station slam`")
     has_depth = (folder / DEPTH).exists()

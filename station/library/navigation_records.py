@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from shared.bounded import shown
+from shared.bounded import MAX_SETTINGS_BYTES, read_file, shown
 from shared.disk import make_folder, replace_file, settle_folders
 from shared.errors import DataError
 from shared.text import PRINTABLE
@@ -25,6 +25,7 @@ from station.library.dated_id import free_dated_id
 NavigationState = Literal["recording", "finishing", "ready", "failed"]
 RECORD = "record.json"
 RECORDING = "recording.mcap"
+NAVIGATION = "navigation"
 OLD_RECORD = "drive.json"  # its name until November 2026
 BIN = ".bin"  # the folder of deleted navigations
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}")
@@ -81,7 +82,7 @@ class NavigationLibrary:
             make_folder(self._root / BIN)  # now: a disk that is full by then has no room for a folder
         folders = [path for path in here if _ID.fullmatch(path.name) and path.is_dir()]
         for folder in folders:
-            settle_folders(folder)
+            settle_folders(folder, NAVIGATION)
             try:
                 navigation = _read_record(folder)
             except (OSError, msgspec.DecodeError):
@@ -123,7 +124,7 @@ class NavigationLibrary:
         return self._root / navigation_id
 
     def navigation_folder(self, navigation_id: str) -> Path:
-        return self.folder(navigation_id) / "navigation"
+        return self.folder(navigation_id) / NAVIGATION
 
     def store(self, navigation: NavigationRecord) -> None:
         """Write a navigation's record and know it. Raises Unwritable."""
@@ -204,7 +205,7 @@ def _read_record(folder: Path) -> NavigationRecord:
     """Raises OSError, msgspec.DecodeError: there is none, or it is damaged."""
     named = folder / RECORD
     path = named if named.exists() else folder / OLD_RECORD
-    return msgspec.json.decode(path.read_bytes(), type=NavigationRecord)
+    return msgspec.json.decode(read_file(path, MAX_SETTINGS_BYTES), type=NavigationRecord)
 
 
 def _without_record(folder: Path) -> NavigationRecord:

@@ -21,7 +21,7 @@ from typing import Any
 import msgspec
 
 from shared.bounded import MAX_FILE_BYTES, MAX_JSON_BYTES, open_file, parse_json, read_file, read_text, shown
-from shared.disk import make_folder, replacing_folder
+from shared.disk import make_folder, replacing_folder, settle_folder
 from shared.errors import DataError
 from station.files.navigation_folder import load_navigation, save_navigation
 from station.files.npz import UNREADABLE as UNREADABLE_ARRAYS
@@ -94,6 +94,7 @@ class _Document(msgspec.Struct):
 
 def load_map_folder(folder: Path) -> PlaceMap:
     """Read a folder written by save_map_folder. Raises DataError naming the file that is missing or damaged."""
+    settle_folder(folder)
     path = folder / "map.json"
     try:
         content = _read_content(folder)

@@ -22,6 +22,7 @@ from shared.disk import (
     replace_file,
     replacing,
     replacing_folder,
+    settle_folder,
     settle_folders,
     unlock,
 )
@@ -195,14 +196,14 @@ def test_a_folder_whose_writer_is_killed_is_the_old_one_again(tmp_path: Path, wh
         )
     killed(f"die = lambda: os.kill(os.getpid(), 9)\n{when}", folder)
     assert len(list(tmp_path.glob(".new-*"))) == 1
-    settle_folders(tmp_path)
+    settle_folders(tmp_path, "f")
     assert names(tmp_path) == ["f"] and names(folder) == ["old"]
 
 
 def test_a_writer_whose_folder_is_taken_for_a_killed_ones_makes_another(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    look_before_the_first_lock(settle_folders, tmp_path, monkeypatch)
+    look_before_the_first_lock(lambda parent: settle_folders(parent, "f"), tmp_path, monkeypatch)
     with replacing_folder(tmp_path / "f") as fresh:
         (fresh / "new").touch()
     assert names(tmp_path) == ["f"] and names(tmp_path / "f") == ["new"]
@@ -244,13 +245,41 @@ def test_an_old_folder_that_cannot_be_given_its_name_back_now_is_at_the_next_sta
         with pytest.raises(OSError, match="Input/output"), replacing_folder(tmp_path / "f") as fresh:
             (fresh / "new").touch()
     assert not (tmp_path / "f").exists()
-    settle_folders(tmp_path)
+    settle_folders(tmp_path, "f")
     assert names(tmp_path) == ["f"] and names(tmp_path / "f") == ["old"]
+
+
+def test_the_old_folder_that_an_older_program_left_nameless_is_given_back_its_name(tmp_path: Path) -> None:
+    for part in ("old", "fresh"):
+        (tmp_path / ".new-x" / part).mkdir(parents=True)
+        (tmp_path / ".new-x" / part / part).touch()
+    settle_folders(tmp_path, "f")
+    assert names(tmp_path) == ["f"] and names(tmp_path / "f") == ["old"]
+    (tmp_path / ".new-y" / "old").mkdir(parents=True)
+    settle_folders(tmp_path, "f")  # a new one has its name
+    assert names(tmp_path) == ["f"] and names(tmp_path / "f") == ["old"]
+
+
+def test_where_others_have_folders_only_the_one_that_is_asked_for_is_given_back(tmp_path: Path) -> None:
+    others = [tmp_path / name for name in (".new-ideas/before/g", ".new-house/old")]
+    for folder in (*others, tmp_path / ".new-x/before/f"):
+        folder.mkdir(parents=True)
+    settle_folder(tmp_path / "f")
+    settle_folder(tmp_path / "f*")
+    assert names(tmp_path) == [".new-house", ".new-ideas", "f"] and all(folder.is_dir() for folder in others)
+
+
+def test_who_replaces_a_folder_again_finds_what_a_killed_program_took_from_it(tmp_path: Path) -> None:
+    (tmp_path / ".new-x/before/f/note").mkdir(parents=True)
+    with replacing_folder(tmp_path / "f") as fresh:
+        assert names(tmp_path / "f") == ["note"]
+        (fresh / "new").touch()
+    assert names(tmp_path) == ["f"] and names(tmp_path / "f") == ["new"]
 
 
 def test_a_folder_that_is_being_filled_is_left_alone(tmp_path: Path) -> None:
     with replacing_folder(tmp_path / "f") as fresh:
-        settle_folders(tmp_path)
+        settle_folders(tmp_path, "f")
         (fresh / "new").touch()
     assert names(tmp_path / "f") == ["new"]
 

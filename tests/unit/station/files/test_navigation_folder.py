@@ -28,6 +28,11 @@ CONTRACT_KEYS = {"backend", "frames", "duration_s", "wall_s", "realtime_factor",
 }
 
 
+def test_a_folder_that_a_killed_program_took_the_name_from_is_read(tmp_path: Path) -> None:
+    save_navigation(small_navigation(), tmp_path / ".new-x/before/nav")
+    assert load_navigation(tmp_path / "nav").id == small_navigation().id
+
+
 def test_a_folder_that_cannot_take_the_name_leaves_the_old_one_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -47,10 +47,11 @@ def test_a_navigation_whose_record_is_lost_is_known_by_its_recording(tmp_path: P
     assert [navigation.id for navigation in NavigationLibrary(tmp_path).open()] == []  # it has a record again
 
 
-def test_a_navigation_whose_exchange_was_cut_by_a_kill_is_there_again(tmp_path: Path) -> None:
+@pytest.mark.parametrize("taken", ["before/navigation", "old"])
+def test_a_navigation_whose_exchange_was_cut_by_a_kill_is_there_again(tmp_path: Path, taken: str) -> None:
     library = NavigationLibrary(tmp_path)
     library.store(NavigationRecord(id="nav-1", name="one", state="ready", started_wall_s=1.0, backend="sfm"))
-    old, fresh = (tmp_path / "nav-1" / ".new-x" / name for name in ("before/navigation", "fresh"))
+    old, fresh = (tmp_path / "nav-1" / ".new-x" / name for name in (taken, "fresh"))
     for folder in (old, fresh):
         folder.mkdir(parents=True)
     (old / "navigation.json").touch()

@@ -98,6 +98,9 @@ def test_a_map_folder_lists_rooms_and_keeps_the_plan(planned: PlaceMap, tmp_path
         ("room-k", "Room 2"),
     ]
     assert_same_plan(load_map_folder(tmp_path / "map"), planned)
+    (tmp_path / ".new-x" / "before").mkdir(parents=True)
+    (tmp_path / "map").rename(tmp_path / ".new-x" / "before" / "map")  # by a program that was killed then
+    assert_same_plan(load_map_folder(tmp_path / "map"), planned)
     (tmp_path / "map" / CELLS).write_bytes(b"no plan")
     with pytest.raises(DataError, match=r"floor_plan\.npz is damaged"):
         load_map_folder(tmp_path / "map")
