@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from shared.bounded import shown
+from shared.bounded import MAX_SETTINGS_BYTES, read_file, shown
 from shared.errors import DataError
 from station.errors import Unknown
 from station.library.dated_id import free_dated_id
@@ -48,7 +48,9 @@ class Comparisons:
         found = []
         for folder in sorted(self._root.glob("cmp-*"), reverse=True):
             try:
-                found.append(msgspec.json.decode((folder / "comparison.json").read_bytes(), type=Comparison))
+                found.append(
+                    msgspec.json.decode(read_file(folder / "comparison.json", MAX_SETTINGS_BYTES), type=Comparison)
+                )
             except (OSError, msgspec.DecodeError):
                 continue
         return tuple(found)

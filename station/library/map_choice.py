@@ -12,6 +12,7 @@ from pathlib import Path
 
 import msgspec
 
+from shared.bounded import MAX_SETTINGS_BYTES, read_file
 from shared.disk import make_folder, replace_file
 from station.files.unwritable import cannot_write
 from station.model.place_map import PlaceMap
@@ -46,7 +47,7 @@ def store_choice(root: Path, chosen: tuple[str, ...]) -> None:
 def _written(root: Path) -> tuple[str, ...] | None:
     """What the file says; None where it says nothing."""
     try:
-        choice = msgspec.json.decode((root / FILE).read_bytes(), type=_Choice)
+        choice = msgspec.json.decode(read_file(root / FILE, MAX_SETTINGS_BYTES), type=_Choice)
     except (OSError, msgspec.DecodeError):
         return None
     return () if choice.id is None else tuple(dict.fromkeys((choice.id, *choice.also)))

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
+from shared.bounded import open_file
 from shared.disk import PRIVATE, make_folder, replace_files
 from shared.errors import ConfigError, DataError
 from station.files.unwritable import cannot_write
@@ -57,7 +58,8 @@ class FolderBucket:
 
     def get(self, name: str) -> bytes | None:
         try:
-            return (self._root / name).read_bytes()
+            with open_file(self._root / name) as file:
+                return file.read()
         except (FileNotFoundError, NotADirectoryError):
             return None
         except OSError as exc:
