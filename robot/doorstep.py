@@ -17,6 +17,7 @@ from shared.errors import RemoteProtocolError, RobotSystemError
 from shared.messages import Paired, PairProof, PairReply, PairRequest, Prove, Refusal
 from shared.pairing import Pake
 from shared.session import Event
+from shared.token_book import TokenRecord
 
 logger = logging.getLogger(__name__)
 
@@ -59,6 +60,8 @@ class Doorstep:
                     _refuse(client, admitted)
                 else:
                     client.role, client.token_id = admitted.role, admitted.id
+                    if admitted.confirm_by_s is not None:
+                        self._start(self._confirm(gate, admitted))
             case PairRequest():
                 self._start(self._exchange(gate, client, message))
             case PairProof():
@@ -101,6 +104,13 @@ class Doorstep:
             return
         logger.info("paired with %s at %s", name, client.address)
         client.end(Event.PAIRED, Paired(mac=pake.mac("robot"), token=token.text))
+
+    async def _confirm(self, gate: Gate, record: TokenRecord) -> None:
+        """The station has what it was given."""
+        try:
+            await asyncio.to_thread(gate.book.confirm, record.id, gate.now_s())
+        except RobotSystemError as exc:
+            logger.error("the pairing with %s ends in a few minutes, it cannot be written: %s", record.name, exc)
 
     async def _flush(self, gate: Gate) -> None:
         try:

@@ -73,7 +73,7 @@ class PairingDesk:
         return pake
 
     def finish(self, pake: Pake, mac: bytes, station_name: str, now_s: float) -> Token:
-        """The token for a station that knew the code, which is void then.
+        """The token for a station that knew the code, which is void then. It counts for good when it is first used.
 
         Raises PairingRefused; the try is counted before.
         """
@@ -89,7 +89,7 @@ class PairingDesk:
                     + (f"{left} tries are left" if left else "there are no tries left: ask the robot for another code")
                 )
             self._path.unlink(missing_ok=True)
-        return self._book.add(self._free_name(station_name, now_s), opened.role, now_s)
+        return self._book.add(self._free_name(station_name, now_s), opened.role, now_s, is_confirmed=False)
 
     def _free_name(self, name: str, now_s: float) -> str:
         name = without_invisible(name).strip()

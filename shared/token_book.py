@@ -19,6 +19,7 @@ from shared.text import is_seen_whole, look_of
 FILE_NAME = "tokens.json"
 MAX_SESSIONS = 32  # of one token; beyond, the oldest ends
 KEPT_REVOKED_S = 90 * 86_400.0
+CONFIRM_WITHIN_S = 300.0  # `station pair` does within a second; a station of an older release when it first joins
 USE_RESOLUTION_S = 60.0  # `last_used_s` is no finer: not every call writes a file
 
 Kind = Literal["token", "session", "link"]
@@ -35,6 +36,7 @@ class TokenRecord(msgspec.Struct, frozen=True, kw_only=True):
     kind: Kind = "token"
     parent: str | None = None
     expires_s: float | None = None
+    confirm_by_s: float | None = None  # made by pairing, and whoever it was made for may never have received it
     last_used_s: float | None = None
     revoked_s: float | None = None
 
@@ -42,7 +44,11 @@ class TokenRecord(msgspec.Struct, frozen=True, kw_only=True):
         """Neither revoked nor over."""
         if self.kind == "link" and now_s < self.created_s:
             return False  # a clock that was set back must not make ten minutes last for hours
-        return self.revoked_s is None and (self.expires_s is None or now_s < self.expires_s)
+        return self.revoked_s is None and not self.is_over(now_s)
+
+    def is_over(self, now_s: float) -> bool:
+        """It has expired, or nobody has used what was made by pairing."""
+        return any(end_s is not None and now_s >= end_s for end_s in (self.expires_s, self.confirm_by_s))
 
     def __repr__(self) -> str:
         return f"TokenRecord({self.id}, {self.name!r}, {self.role.value})"
@@ -142,8 +148,13 @@ class TokenBook:
 
     # Changing
 
-    def add(self, name: str, role: Role, now_s: float, lifetime_s: float | None = None) -> Token:
-        """A new token. Raises ConfigError: a live one has this name already."""
+    def add(
+        self, name: str, role: Role, now_s: float, lifetime_s: float | None = None, *, is_confirmed: bool = True
+    ) -> Token:
+        """A new token; where it is not confirmed it ends in CONFIRM_WITHIN_S, unless `confirm` is called.
+
+        Raises ConfigError: a live one has this name already.
+        """
         if not 0 < len(name) <= 64 or not is_seen_whole(name) or name != name.strip():
             raise ConfigError(
                 f"{shown(name)} is no name for a token; give 1 to 64 characters that can be seen, no space at its ends"
@@ -153,9 +164,17 @@ class TokenBook:
             alike = (r for r in self._records.values() if look_of(r.name) == look_of(name))
             if any(r.kind == "token" and r.is_live(now_s) for r in alike):
                 raise ConfigError(f"there is a token named {name!r} already; revoke it first or choose another name")
-            self._put(token, name, role, now_s, lifetime_s)
+            self._put(token, name, role, now_s, lifetime_s, is_confirmed=is_confirmed)
             self._write(now_s)
         return token
+
+    def confirm(self, token_id: str, now_s: float) -> None:
+        """Whoever a token was made for has it. Raises ConfigError: it cannot be written, and ends as before."""
+        with self._changing():
+            record = self.live(token_id, now_s)
+            if record is not None and record.confirm_by_s is not None:
+                self._records = {**self._records, token_id: msgspec.structs.replace(record, confirm_by_s=None)}
+                self._write(now_s)
 
     def add_for(self, parent: TokenRecord, kind: Literal["session", "link"], now_s: float, lifetime_s: float) -> Token:
         owner = parent.parent or parent.id
@@ -219,6 +238,8 @@ class TokenBook:
         lifetime_s: float | None,
         kind: Kind = "token",
         parent: str | None = None,
+        *,
+        is_confirmed: bool = True,
     ) -> None:
         made = TokenRecord(
             id=token.id,
@@ -229,6 +250,7 @@ class TokenBook:
             kind=kind,
             parent=parent,
             expires_s=None if lifetime_s is None else now_s + lifetime_s,
+            confirm_by_s=None if is_confirmed else now_s + CONFIRM_WITHIN_S,
         )
         self._records = {**self._records, token.id: made}
 
@@ -257,12 +279,12 @@ class TokenBook:
         self._stamp = stamp
 
     def _write(self, now_s: float) -> None:
-        """Without sessions that are over, or whose token is, and without what was revoked long ago."""
+        """Without sessions that are over, or whose token is, what nobody confirmed, and what was revoked long ago."""
         kept = [
             record
             for record in self._records.values()
             if (now_s - (record.revoked_s or now_s) < KEPT_REVOKED_S)
-            and (record.kind == "token" or self.live(record.id, now_s) is not None)
+            and ((record.kind == "token" and record.confirm_by_s is None) or self.live(record.id, now_s) is not None)
         ]
         self._records = {record.id: record for record in kept}
         content = msgspec.json.format(msgspec.json.encode(_File(tokens=tuple(kept))))

@@ -19,6 +19,8 @@ def show_tokens(book: TokenBook, as_json: bool) -> None:
     for token in tokens:
         used = "never" if token.last_used_s is None else _date(token.last_used_s)
         state = "" if token.revoked_s is None else f"  revoked {_date(token.revoked_s)}"
+        if token.confirm_by_s is not None:
+            state += f"  ends {_date(token.confirm_by_s)} unless its station uses it"
         print(f"{token.id}  {token.role.value:5}  {token.name}  made {_date(token.created_s)}  used {used}{state}")
     if not tokens:
         print("nobody")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 
-from shared.errors import ConfigError, RemoteProtocolError
+from shared.access import Token, prove
+from shared.errors import ConfigError, RemoteProtocolError, RobotSystemError
 from shared.messages import (
     PROTOCOL_VERSION,
     ErrorNotice,
@@ -15,10 +17,12 @@ from shared.messages import (
     PairProof,
     PairReply,
     PairRequest,
+    Prove,
     Refusal,
 )
 from shared.pairing import Pake
 from shared.session import Session
+from shared.token_book import CONFIRM_WITHIN_S
 from station.access.connecting import READ_BYTES, Connection, ConnectionRefused, connect_by_tls
 from station.access.paired_robots import PairedRobot
 from station.config import show_address
@@ -52,17 +56,51 @@ async def pair(host: str, port: int, code: str, station_name: str) -> PairedRobo
         raise PairingFailed(str(exc)) from exc
 
 
+async def confirm(robot: PairedRobot) -> str:
+    """Use the token once, now that it is stored: the robot drops one that nobody uses. A sentence where that fails."""
+    address, token = show_address(robot.host, robot.port), Token.parse(robot.token)
+    try:
+        async with asyncio.timeout(PAIR_WITHIN_S):
+            connection = await connect_by_tls(robot.host, robot.port)
+            try:
+                if token is None or connection.fingerprint.hex() != robot.fingerprint:
+                    raise ConnectionRefused(f"another machine answers at {address}")
+                session = Session("station", time.monotonic_ns())
+                hello = await _hear(connection, session, address)
+                if not isinstance(hello, Hello):
+                    raise RemoteProtocolError(f"the robot answered with {hello}")
+                proof = prove(token, hello.challenge, connection.fingerprint)
+                connection.writer.write(session.send(Prove(token_id=token.id, proof=proof)))
+                connection.writer.close()  # after what was written has left
+                with contextlib.suppress(OSError):
+                    await connection.writer.wait_closed()
+            finally:
+                connection.writer.transport.abort()
+    except (RobotSystemError, OSError, UnicodeError, TimeoutError) as exc:
+        minutes = round(CONFIRM_WITHIN_S / 60)
+        return (
+            f"{robot.name} does not know yet that it is paired ({str(exc) or 'no answer'}): start the station"
+            f" within {minutes} minutes, else pair again"
+        )
+    return ""
+
+
+async def _hear(connection: Connection, session: Session, address: str) -> Message:
+    """The next message. Raises PairingFailed, RemoteProtocolError, OSError."""
+    while (message := session.next_message(time.monotonic_ns())) is None:
+        data = await connection.reader.read(READ_BYTES)
+        if not data:
+            raise PairingFailed(f"{address} closed the connection; try again")
+        session.receive(data)
+    return message
+
+
 async def _talk(connection: Connection, host: str, port: int, code: str, station_name: str) -> PairedRobot:
     session = Session("station", time.monotonic_ns())
     address = show_address(host, port)
 
     async def hear() -> Message:
-        while (message := session.next_message(time.monotonic_ns())) is None:
-            data = await connection.reader.read(READ_BYTES)
-            if not data:
-                raise PairingFailed(f"{address} closed the connection; try again")
-            session.receive(data)
-        match message:
+        match message := await _hear(connection, session, address):
             case Refusal():
                 raise PairingFailed(f"the robot refused to pair: {message.reason}")
             case ErrorNotice():

@@ -13,7 +13,7 @@ from shared.access import Role
 from shared.bounded import shown
 from shared.errors import ConfigError
 from shared.pairing import parse_code
-from station.access.pairing import PairingFailed, pair
+from station.access.pairing import PairingFailed, confirm, pair
 from station.access.visitors import SESSION_S, Visitor
 from station.api.deps import RobotDep, StationDep, VisitorDep
 from station.api.doorkeeper import COOKIE, address_of
@@ -136,6 +136,8 @@ async def pair_robot(order: PairOrder, station: StationDep, which: RobotDep) -> 
         raise Conflict(str(exc)) from exc
     await asyncio.to_thread(station.access.robots.store, paired)
     which.events.notify("link", f"paired with {paired.name}")
+    if unconfirmed := await confirm(paired):
+        which.events.notify("link", unconfirmed, "warning")
     return PairedModel(robot=paired.name, host=host, port=port, fingerprint=paired.fingerprint)
 
 

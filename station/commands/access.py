@@ -7,6 +7,7 @@ import contextlib
 import datetime
 import json
 import socket
+import sys
 import time
 from pathlib import Path
 from typing import Annotated, Literal
@@ -22,6 +23,7 @@ from shared.token_book import TokenBook, TokenRecord
 from shared.token_lines import revoke_token, show_tokens
 from station.access.expiry import expiry_sentence
 from station.access.paired_robots import PairedRobots
+from station.access.pairing import confirm
 from station.access.pairing import pair as pair_with
 from station.access.visitors import LINK_S, access_folder
 from station.commands.options import Config, Data, Json
@@ -133,6 +135,8 @@ def pair(
     known.check_writable()
     paired = asyncio.run(pair_with(host, port, digits, station_name))
     known.store(paired)
+    if unconfirmed := asyncio.run(confirm(paired)):
+        print(unconfirmed, file=sys.stderr)
     shown = show_fingerprint(bytes.fromhex(paired.fingerprint))
     if as_json:
         print(json.dumps({"robot": paired.name, "host": host, "port": port, "fingerprint": paired.fingerprint}))

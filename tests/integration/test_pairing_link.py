@@ -20,11 +20,11 @@ from shared.message_codec import encode_message
 from shared.messages import PROTOCOL_VERSION, PairProof, PairReply, PairRequest, Refusal
 from shared.pairing import Pake
 from shared.private_files import read_private
-from shared.token_book import TokenBook
+from shared.token_book import CONFIRM_WITHIN_S, TokenBook
 from station.access import paired_robots
 from station.access.connecting import connect_by_tls
 from station.access.paired_robots import PairedRobots
-from station.access.pairing import PairingFailed, pair
+from station.access.pairing import PairingFailed, confirm, pair
 from station.main import app
 from tests.support.access import GuardedBench, guarded_robot, linked, set_up, talking
 from tests.support.link import until
@@ -48,6 +48,47 @@ async def test_pairing_gives_a_token_that_joins_and_pins_the_robot(tmp_path: Pat
             )
         with pytest.raises(PairingFailed, match="no pairing code is open"):  # it was good for one station
             await pair("127.0.0.1", bench.port, code, "desk")
+
+
+async def test_a_token_that_reached_nobody_is_good_for_minutes_and_then_the_robot_is_unpaired_again(
+    tmp_path: Path,
+) -> None:
+    async with guarded_robot(tmp_path) as bench:
+        lost = await pair("127.0.0.1", bench.port, bench.gate.desk.open_code(Role.DRIVE, time.time()), "lost")
+        assert not bench.gate.is_unpaired
+        bench.gate.now_s = lambda: time.time() + CONFIRM_WITHIN_S
+        assert bench.gate.is_unpaired
+        token = Token.parse(lost.token)
+        assert token is not None
+        async with talking(bench) as talk:
+            talk.say(talk.prove(token, await talk.hear_hello()))
+            assert isinstance(await talk.hear(), Refusal)
+
+
+@pytest.mark.parametrize("how", ["command", "first join"])
+async def test_a_token_that_reached_its_station_lasts(tmp_path: Path, how: str) -> None:
+    data = tmp_path / "data"
+    robots = PairedRobots(data / "access")
+    async with guarded_robot(tmp_path / "robot") as bench:
+        code = bench.gate.desk.open_code(Role.DRIVE, time.time())
+        if how == "command":
+            command = ["pair", f"127.0.0.1:{bench.port}", "--code", code, "--data", str(data)]
+            paired = await asyncio.to_thread(CliRunner().invoke, app, command)
+            assert paired.exit_code == 0 and "minutes" not in paired.output
+        else:
+            robots.store(await pair("127.0.0.1", bench.port, code, "desk"))
+            async with linked(bench.port, robots) as (link, _):
+                await until(lambda: link.state.connected)
+        await until(lambda: [token.confirm_by_s for token in TokenBook(bench.folder).tokens()] == [None])
+        bench.gate.now_s = lambda: time.time() + CONFIRM_WITHIN_S
+        async with linked(bench.port, robots) as (link, _):
+            await until(lambda: link.state.connected)
+
+
+async def test_who_cannot_use_its_token_at_once_says_what_to_do(tmp_path: Path) -> None:
+    async with guarded_robot(tmp_path / "robot") as bench:
+        paired = await pair("127.0.0.1", bench.port, bench.gate.desk.open_code(Role.DRIVE, time.time()), "desk")
+    assert "start the station within 5 minutes, else pair again" in await confirm(paired)
 
 
 async def test_a_code_is_void_after_a_few_wrong_guesses(tmp_path: Path) -> None:

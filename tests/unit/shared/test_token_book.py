@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import stat
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 import shared.token_book
-from shared.access import Role
+from shared.access import Role, Token
 from shared.errors import ConfigError
 from shared.private_files import locked, read_private, write_private
-from shared.token_book import MAX_SESSIONS, TokenBook, TokenRecord
+from shared.token_book import CONFIRM_WITHIN_S, MAX_SESSIONS, TokenBook, TokenRecord
 from tests.support.disk import fill, small_disk
 
 
@@ -48,12 +49,31 @@ def test_revoking_ends_a_token_and_its_sessions_and_others_see_it(tmp_path: Path
     assert book.add("anna", Role.WATCH, 4.0).text != token.text  # the name is free again
 
 
-def test_who_is_revoked_on_a_full_disk_stays_out_also_after_a_restart(tmp_path: Path) -> None:
+def test_what_pairing_made_and_nobody_used_ends_and_is_forgotten(tmp_path: Path) -> None:
+    book = TokenBook.create(tmp_path)
+    lost, used = (book.add(name, Role.DRIVE, 0.0, is_confirmed=False) for name in ("lost", "used"))
+    book.confirm(used.id, 1.0)
+    again = TokenBook(tmp_path)
+    assert [again.find(token.text, CONFIRM_WITHIN_S - 1.0) is not None for token in (lost, used)] == [True, True]
+    assert [again.find(token.text, CONFIRM_WITHIN_S) is not None for token in (lost, used)] == [False, True]
+    again.confirm(lost.id, CONFIRM_WITHIN_S)  # too late
+    assert again.find(lost.text, CONFIRM_WITHIN_S) is None
+    again.add("lost", Role.DRIVE, CONFIRM_WITHIN_S)  # the name is free
+    assert [token.name for token in TokenBook(tmp_path).tokens()] == ["used", "lost"]
+
+
+@contextlib.contextmanager
+def book_on_small_disk(tmp_path: Path, *names: str) -> Iterator[tuple[Path, TokenBook, list[Token]]]:
+    """The disk, a book on it, and the tokens of these admins."""
     with small_disk(tmp_path / "disk", "1m") as disk:
         book = TokenBook.create(disk / "access")
-        token = book.add("anna", Role.ADMIN, 0.0)
-        other = book.add("ben", Role.ADMIN, 0.0)
-        for name, gone in {"anna": token, "ben": other}.items():
+        yield disk, book, [book.add(name, Role.ADMIN, 0.0) for name in names]
+
+
+def test_who_is_revoked_on_a_full_disk_stays_out_also_after_a_restart(tmp_path: Path) -> None:
+    names = ("anna", "ben")
+    with book_on_small_disk(tmp_path, *names) as (disk, book, tokens):
+        for name, gone in zip(names, tokens, strict=True):
             fill(disk)
             assert [r.name for r in book.revoke(name, 1.0)] == [name]
             assert book.find(gone.text, 2.0) is None
@@ -61,9 +81,7 @@ def test_who_is_revoked_on_a_full_disk_stays_out_also_after_a_restart(tmp_path: 
 
 
 def test_who_cannot_be_revoked_is_not_said_to_be(tmp_path: Path) -> None:
-    with small_disk(tmp_path / "disk", "1m") as disk:
-        book = TokenBook.create(disk / "access")
-        token = book.add("anna", Role.ADMIN, 0.0)
+    with book_on_small_disk(tmp_path, "anna") as (disk, book, (token,)):
         fill(disk)
         (disk / "access" / "tokens.json.spare").unlink()
         fill(disk)
