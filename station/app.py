@@ -446,6 +446,10 @@ class Station:
     async def _tidy_up(self, interrupted: list[NavigationRecord]) -> None:
         """Remove what a killed station left half-written, recover what it cut off, remove what is beyond the limits."""
         await asyncio.to_thread(remove_scratch, self.config.data_dir)
+        try:
+            await self.maps.tidy_up()
+        except DataError as exc:
+            logger.warning("what killed builds left in the maps stays: %s", exc)
         await recover_recordings(self.navigations, interrupted, self.events)
         await retain_recordings(self.navigations.library, self.config.recordings, self.events)
 

@@ -19,7 +19,7 @@ from station.library.active_maps import ActiveMap, ActiveMaps, numbered
 from station.library.map_choice import store_choice, stored_choice, why_not_together
 from station.library.place_changes import PlacesChange, changes_of, why_not_that_one
 from station.maps.editing import tidy_name, with_place_renamed
-from station.maps.repair.purging import collect_garbage, purge
+from station.maps.repair.purging import collect_garbage, purge, tidy_up
 from station.maps.store import MapStore
 from station.model.floor_plan import Room
 from station.model.map_store import MapSummary, StoreAddress
@@ -141,6 +141,10 @@ class Maps:
         await asyncio.to_thread(lambda: purge(self._store.for_writing(), map_id))
         await asyncio.to_thread(lambda: collect_garbage(self._store.for_writing()))
         await asyncio.to_thread(forget_index, self._store.address.root, map_id)
+
+    async def tidy_up(self) -> None:
+        """Remove what builds left that were killed. Raises DataError."""
+        await asyncio.to_thread(tidy_up, self._store)
 
     async def rename(self, map_id: str, name: str) -> MapSummary:
         """Name a map, in use or not. Raises Unknown, or DataError for a name that is empty or too long."""

@@ -74,6 +74,11 @@ def restore_backup(store: MapStore, path: Path) -> BackupReport:
         DataError: this is no backup, or the store cannot be written.
     """
     contents = store.for_writing()
+    with contents.bucket.adding():
+        return _restore(store, contents, path)
+
+
+def _restore(store: MapStore, contents: Contents, path: Path) -> BackupReport:
     found = _Found(store, path)
     try:
         with open_file(path) as file, tarfile.open(fileobj=in_pieces(file, MAX_PIECE_BYTES), mode="r:") as archive:

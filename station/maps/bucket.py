@@ -6,13 +6,16 @@ import contextlib
 import os
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Protocol
 
 from shared.bounded import open_file
-from shared.disk import PRIVATE, make_folder, replace_files
+from shared.disk import PRIVATE, lock, make_folder, replace_files
 from shared.errors import ConfigError, DataError
 from station.files.unwritable import cannot_write
+
+ADDING = ".adding"  # locked by everybody who writes files that no record names yet
 
 
 class Bucket(Protocol):
@@ -37,6 +40,14 @@ class Bucket(Protocol):
 
     def remove(self, name: str) -> None:
         """Forget a file, if it is there."""
+        ...
+
+    def adding(self) -> AbstractContextManager[None]:
+        """While files are written that no record names yet, so that nobody tidies them away."""
+        ...
+
+    def tidying(self) -> AbstractContextManager[bool]:
+        """Alone: False where somebody is adding, as far as locks tell. Where there are none files' ages must do."""
         ...
 
 
@@ -78,6 +89,23 @@ class FolderBucket:
             (self._root / name).unlink(missing_ok=True)
         except OSError as exc:
             raise cannot_write(self._root, exc) from exc
+
+    @contextlib.contextmanager
+    def adding(self) -> Iterator[None]:
+        with contextlib.ExitStack() as stack:
+            with contextlib.suppress(OSError):  # `put` says it better where the folder takes no writes
+                make_folder(self._root)
+                lock(stack.enter_context((self._root / ADDING).open("ab")), shared=True)
+            yield
+
+    @contextlib.contextmanager
+    def tidying(self) -> Iterator[bool]:
+        with contextlib.ExitStack() as stack:
+            is_alone = True
+            with contextlib.suppress(OSError):
+                make_folder(self._root)
+                is_alone = lock(stack.enter_context((self._root / ADDING).open("ab")), timeout_s=0)
+            yield is_alone
 
 
 class UrlBucket:
@@ -127,6 +155,12 @@ class UrlBucket:
                 self._files.rm_file(self._path(name))
         except OSError as exc:
             raise self._unusable(exc) from exc
+
+    def adding(self) -> AbstractContextManager[None]:
+        return contextlib.nullcontext()
+
+    def tidying(self) -> AbstractContextManager[bool]:
+        return contextlib.nullcontext(True)
 
     def _path(self, name: str) -> str:
         return f"{self._root.rstrip('/')}/{name}"

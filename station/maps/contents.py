@@ -46,10 +46,11 @@ class Contents:
 
     def save(self, place_map: PlaceMap, why: str) -> None:
         """Make a map the newest version of its id; nothing happens when that is the same already."""
-        self.save_record(replace(describe_map(place_map, self.put(map_files(place_map))), why=why))
+        with self.bucket.adding():
+            self.save_record(replace(describe_map(place_map, self.put(map_files(place_map))), why=why))
 
     def put(self, files: Mapping[str, bytes]) -> dict[str, FileRef]:
-        """Keep files, and what a record says of them."""
+        """Keep files, and what a record says of them. Until that is written nobody shall tidy: `bucket.adding`."""
         addresses = self.blobs.put(files.values())
         return {
             name: FileRef(address, len(data))

@@ -13,6 +13,7 @@ import tempfile
 import time
 import weakref
 from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import IO
 
@@ -51,6 +52,12 @@ class Overlay:
 
     def remove(self, name: str) -> None:
         self._above.remove(name)
+
+    def adding(self) -> AbstractContextManager[None]:
+        return self._above.adding()
+
+    def tidying(self) -> AbstractContextManager[bool]:
+        return contextlib.nullcontext(False)
 
 
 class IndexCopy:

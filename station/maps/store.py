@@ -64,7 +64,7 @@ class MapStore:
     def edit(self, map_id: str, change: Callable[[PlaceMap], PlaceMap], why: str) -> PlaceMap:
         """Change places, rooms or names of a map and return it. Two stations that edit at once keep both changes."""
         contents = self.for_writing()
-        with contents.changing(map_id) as changing:
+        with contents.bucket.adding(), contents.changing(map_id) as changing:
             record = self._present(changing.rows, map_id)
             place_map = change(read_map(record, contents.blobs))
             files = {**record.files, **contents.put(plan_files(place_map))}
@@ -82,16 +82,17 @@ class MapStore:
         id. Where it was made of the same files that is one more change of it: undo leads on to those before.
         """
         contents = self.for_writing()
-        files = contents.put(encode_navigation(built.navigation))  # large: nobody has to wait for it
-        with contents.changing(built.id) as changing:
-            place_map = take_over(built, self.newest_of_navigation(navigation_id))
-            fresh = replace(describe_map(place_map, {**files, **contents.put(plan_files(place_map))}), why=why)
-            newest = contents.newest(changing.rows)
-            if newest is None or newest.kind == "deleted":
-                changing.append(fresh, newest, "saved")
-            elif not same_content(newest, fresh):
-                has_same_files = files.items() <= newest.files.items()
-                changing.append(fresh, newest, "edited" if has_same_files else "saved")
+        with contents.bucket.adding():
+            files = contents.put(encode_navigation(built.navigation))  # large: nobody has to wait for it
+            with contents.changing(built.id) as changing:
+                place_map = take_over(built, self.newest_of_navigation(navigation_id))
+                fresh = replace(describe_map(place_map, {**files, **contents.put(plan_files(place_map))}), why=why)
+                newest = contents.newest(changing.rows)
+                if newest is None or newest.kind == "deleted":
+                    changing.append(fresh, newest, "saved")
+                elif not same_content(newest, fresh):
+                    has_same_files = files.items() <= newest.files.items()
+                    changing.append(fresh, newest, "edited" if has_same_files else "saved")
         return place_map
 
     def load(self, map_id: str, number: int | None = None) -> PlaceMap:

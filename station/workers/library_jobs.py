@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,6 +20,7 @@ from station.calibration.wheels_guided import estimate_wheels
 from station.datasets import open_dataset
 from station.files.navigation_folder import PICTURES, load_navigation, save_navigation
 from station.files.unwritable import cannot_write, why_unwritable
+from station.maps.repair.purging import tidy_up
 from station.maps.store import MapStore
 from station.model.floor_plan import NameSuggestion
 from station.model.map_store import StoreAddress
@@ -79,6 +81,8 @@ class LibraryJobs(LibraryProgram):
         # That took long: what people did to places and rooms meanwhile is taken over, too.
         place_map = store.rebuild(place_map, first, _taking_over, f"built from {place_map.navigation.id}"[:200])
         self._built = place_map
+        with contextlib.suppress(DataError):  # the map is there
+            tidy_up(store)
         return BuiltMap(place_map.id, place_map.name, len(place_map.places))
 
     def _names_elsewhere(self, store: MapStore, draft: PlaceMap, config: PlacesConfig) -> tuple[NameSuggestion, ...]:

@@ -20,6 +20,7 @@ from station.recordings.playback import replay
 from tests.support.link import until
 from tests.support.station import Desk, Film, running_station, store_map
 from tests.support.station_at_work import at_work, is_problem, keep_navigation, wait_for
+from tests.support.store import leave_old_blob
 
 
 async def record(desk: Desk, film: Film, name: str, pictures: int = 8) -> str:
@@ -62,6 +63,13 @@ async def test_an_emptied_bin_is_empty_on_the_disk(tmp_path: Path) -> None:
         assert (await desk.http.delete("/bin")).status_code == 204
         assert (await desk.http.get("/bin")).json() == []
     assert not list((tmp_path / "navigations" / ".bin").iterdir())
+
+
+async def test_a_station_that_starts_removes_what_a_killed_build_left(tmp_path: Path) -> None:
+    place_map, left = store_map(tmp_path), leave_old_blob(tmp_path / "maps")
+    async with running_station(1, tmp_path) as desk:
+        await until(lambda: not left.exists())
+        assert (await desk.http.put("/maps/active", json={"id": place_map.id})).status_code == 200
 
 
 async def test_what_cannot_be_deleted_for_good_keeps_nothing_else(

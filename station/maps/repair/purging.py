@@ -8,6 +8,7 @@ from station.maps import versions
 from station.maps.blobs import Damaged
 from station.maps.contents import Contents
 from station.maps.record_files import ASIDE, FOLDER, RecordFile, record_files
+from station.maps.store import MapStore
 from station.maps.unclaimed import read_all, without_row
 
 UNUSED_S = 24 * 3600.0  # blobs nobody names are kept as long: their map may be being saved
@@ -34,7 +35,26 @@ def purge(contents: Contents, map_id: str) -> None:
 
 
 def collect_garbage(contents: Contents) -> list[str]:
-    """Remove files that no record needs: of purged maps, and of writers that were killed."""
+    """Remove files that no record needs: of purged maps, and of writers that were killed. What was done, in sentences.
+
+    Nothing while somebody writes a map: a clock that is set makes its files as old as those nobody needs.
+    """
+    with contents.bucket.tidying() as is_alone:
+        if not is_alone:
+            return ["nothing was tidied up: a map is being written"]
+        return _collect_garbage(contents)
+
+
+def tidy_up(store: MapStore) -> None:
+    """Remove what builds left that were killed, unasked: not in an index that several stations share.
+
+    There files' ages alone tell whose map is being written, and a clock may be wrong. Raises DataError.
+    """
+    if store.open() and store.contents.database.is_sqlite:
+        collect_garbage(store.contents)
+
+
+def _collect_garbage(contents: Contents) -> list[str]:
     for file in record_files(contents.bucket, ASIDE):
         where = f"{contents.bucket.place}/{file.name}"
         return [f"nothing was tidied up: {where} may still need its files; purging map {file.map_id} lets it go"]

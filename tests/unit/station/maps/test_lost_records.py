@@ -5,16 +5,22 @@ from __future__ import annotations
 import os
 import shutil
 import time
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from sqlalchemy.engine import Connection
 from typer.testing import CliRunner
 
 from shared.errors import DataError
 from station.main import app
+from station.maps import versions
+from station.maps.backup import restore_backup, write_backup
 from station.maps.blobs import RENEWED_AFTER_S, blob_name
+from station.maps.editing import with_place_renamed
 from station.maps.repair.check import repair, verify
-from station.maps.repair.purging import UNUSED_S, purge_versions
+from station.maps.repair.purging import UNUSED_S, collect_garbage, purge_versions, tidy_up
 from station.maps.store import MapStore
 from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
@@ -162,6 +168,58 @@ def test_what_was_tidied_as_unused_is_not_what_somebody_saves_again(root: Path, 
     assert verify(store) == ()
     make_old(root)
     assert store.contents.blobs.remove(address, UNUSED_S) and verify(store) != ()
+
+
+def test_what_a_killed_writer_left_is_tidied_away_unasked(root: Path, place_map: PlaceMap) -> None:
+    store = opened(root)
+    left = root / blob_name(store.for_writing().blobs.put([b"of a build that was killed"])[0])
+    tidy_up(store)
+    assert left.exists()  # it may be of one that goes on
+    make_old(root)
+    tidy_up(store)
+    assert not left.exists() and verify(store) == ()
+    assert store.load(place_map.id).places[0].name == "Couch"
+
+
+def save(store: MapStore, place_map: PlaceMap) -> None:
+    store.save(place_map)
+
+
+def rename(store: MapStore, place_map: PlaceMap) -> None:
+    store.edit(place_map.id, lambda before: with_place_renamed(before, before.places[0].id, "Chair"), "")
+
+
+def build(store: MapStore, place_map: PlaceMap) -> None:
+    store.rebuild(place_map, place_map.navigation.id, lambda built, _: built, "built")
+
+
+def restore(store: MapStore, _: PlaceMap) -> None:
+    restore_backup(store, store.address.root.parent / "maps.tar")
+
+
+@pytest.mark.parametrize("write", [save, rename, build, restore])
+def test_whoever_writes_a_map_loses_nothing_to_a_station_that_starts_with_a_wrong_clock(
+    write: Callable[[MapStore, PlaceMap], None], root: Path, place_map: PlaceMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its files are written, its record is not yet, and to others they look old."""
+    changed = replace(place_map, name="again", places=place_map.places[:1])
+    elsewhere = MapStore(root.parent / "elsewhere")
+    elsewhere.save(changed)
+    write_backup(elsewhere, root.parent / "maps.tar")
+    store, other = opened(root), opened(root)
+    add_really = versions.add
+    said: list[str] = []
+
+    def add_late(connection: Connection, rows: list[versions.VersionRow]) -> None:
+        monkeypatch.setattr("station.maps.repair.purging.UNUSED_S", -1.0)
+        said.extend(collect_garbage(other.for_writing()))
+        monkeypatch.undo()
+        add_really(connection, rows)
+
+    other.open()
+    monkeypatch.setattr(versions, "add", add_late)
+    write(store, changed)
+    assert set(said) == {"nothing was tidied up: a map is being written"} and verify(store) == ()
 
 
 def test_text_in_the_index_that_is_none_is_a_damaged_index(root: Path, place_map: PlaceMap) -> None:

@@ -12,6 +12,7 @@ import pytest
 from station.files.navigation_folder import save_navigation
 from station.library.place_changes import changes_of
 from station.maps.editing import with_place_renamed
+from station.maps.repair.check import verify
 from station.maps.store import MapStore
 from station.model.floor_plan import NameSuggestion
 from station.model.map_store import StoreAddress
@@ -22,6 +23,7 @@ from station.workers import library_jobs
 from station.workers.library_jobs import LibraryJobs
 from tests.support.coloured_rooms import GREY, coloured_rooms
 from tests.support.made_up_workers import made_up_navigation
+from tests.support.store import leave_old_blob
 
 
 def build(folder: Path) -> str:
@@ -35,6 +37,14 @@ def room_names(place_map: PlaceMap) -> list[str]:
 
 def said_changes(store: MapStore, map_id: str) -> list[str]:
     return [change.why for change in changes_of(store.history(map_id))]
+
+
+@pytest.mark.computing
+def test_a_build_removes_what_one_left_that_was_killed(tmp_path: Path) -> None:
+    save_navigation(made_up_navigation(), tmp_path / "drive")
+    left = leave_old_blob(tmp_path / "maps")
+    build(tmp_path)
+    assert not left.exists() and verify(MapStore(tmp_path / "maps")) == ()
 
 
 @pytest.mark.computing
