@@ -7,10 +7,15 @@ from collections import deque
 from collections.abc import Iterator
 from itertools import count
 
+from shared.errors import DataError
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 
 HOLD_BACK_NS = 60_000_000  # drive reports come every 50 ms, IMU batches every 20 ms; what is later is lost anyway
 MAX_HELD_FRAMES = 60  # frames that wait for an IMU that has gone silent: two seconds, then they go without it
+# A robot whose clocks disagree, or that lies, dates samples so that no frame ever reaches them.
+MAX_AHEAD_NS = 60_000_000_000  # of the newest frame; a camera that is silent for a minute has lost SLAM anyway
+MAX_HELD_SAMPLES = 60_000  # a minute at 1 kHz, 40 MB at most
+_NEVER_NS = -(1 << 62)
 
 
 class Sequencer:
@@ -23,15 +28,49 @@ class Sequencer:
         self._frames: deque[ImageFrame] = deque()
         self._samples: list[tuple[int, int, ImuBatch | DriveSample]] = []
         self._order = count()
-        self._imu_until_ns = -(1 << 62)
-        self._newest_frame_ns = -(1 << 62)
+        self._num_held = 0  # samples, of all batches
+        self._imu_until_ns = _NEVER_NS
+        self._newest_frame_ns = _NEVER_NS
 
     def add_imu(self, imu: ImuBatch) -> None:
-        heapq.heappush(self._samples, (int(imu.t_robot_ns[0]), next(self._order), imu))
+        """Raises DataError: these samples are left out, or others for them."""
+        self._hold(int(imu.t_robot_ns[0]), int(imu.t_robot_ns[-1]), imu)
         self._imu_until_ns = int(imu.t_robot_ns[-1])
 
     def add_drive(self, drive: DriveSample) -> None:
-        heapq.heappush(self._samples, (drive.t_robot_ns, next(self._order), drive))
+        """Raises DataError, as add_imu."""
+        self._hold(drive.t_robot_ns, drive.t_robot_ns, drive)
+
+    def _hold(self, begin_ns: int, end_ns: int, sample: ImuBatch | DriveSample) -> None:
+        if self._is_far_ahead(end_ns):
+            raise DataError(
+                f"samples dated more than {MAX_AHEAD_NS / 1e9:.0f} s after every picture are left out: the camera is"
+                " silent, or the robot's clocks disagree"
+            )
+        self._push(begin_ns, sample)
+        if self._num_held > MAX_HELD_SAMPLES:
+            self._make_room()
+            raise DataError(f"more than {MAX_HELD_SAMPLES} samples waited for a picture; the oldest are left out")
+
+    def _is_far_ahead(self, t_ns: int) -> bool:
+        return self._newest_frame_ns != _NEVER_NS and t_ns > self._newest_frame_ns + MAX_AHEAD_NS
+
+    def _make_room(self) -> None:
+        """What was dated far ahead before the first frame goes, then the oldest: some more, as looking takes time."""
+        held = [entry for entry in self._samples if not self._is_far_ahead(entry[0])]
+        self._samples = sorted(held)
+        self._num_held = sum(_size(sample) for _, _, sample in held)
+        while self._num_held > 0.9 * MAX_HELD_SAMPLES:
+            self._pop()
+
+    def _push(self, begin_ns: int, sample: ImuBatch | DriveSample) -> None:
+        heapq.heappush(self._samples, (begin_ns, next(self._order), sample))
+        self._num_held += _size(sample)
+
+    def _pop(self) -> ImuBatch | DriveSample:
+        _, _, sample = heapq.heappop(self._samples)
+        self._num_held -= _size(sample)
+        return sample
 
     def add_frame(self, frame: ImageFrame) -> None:
         """Frames out of time order are dropped: the camera's clock only runs forward."""
@@ -49,7 +88,7 @@ class Sequencer:
         while self._frames:
             yield from self._release(self._frames.popleft())
         while self._samples:
-            yield heapq.heappop(self._samples)[2]
+            yield self._pop()
 
     def _is_complete(self, frame: ImageFrame) -> bool:
         if len(self._frames) > MAX_HELD_FRAMES:
@@ -61,14 +100,18 @@ class Sequencer:
     def _release(self, frame: ImageFrame) -> Iterator[ImuBatch | DriveSample | ImageFrame]:
         until_ns = frame.t_robot_ns + self._shift_ns
         while self._samples and self._samples[0][0] <= until_ns:
-            _, _, sample = heapq.heappop(self._samples)
+            sample = self._pop()
             if isinstance(sample, ImuBatch) and int(sample.t_robot_ns[-1]) > until_ns:
                 early, late = _split(sample, until_ns)
-                heapq.heappush(self._samples, (int(late.t_robot_ns[0]), next(self._order), late))
+                self._push(int(late.t_robot_ns[0]), late)
                 yield early
             else:
                 yield sample
         yield frame
+
+
+def _size(sample: ImuBatch | DriveSample) -> int:
+    return len(sample) if isinstance(sample, ImuBatch) else 1
 
 
 def _split(imu: ImuBatch, until_ns: int) -> tuple[ImuBatch, ImuBatch]:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from shared.errors import DataError
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
-from station.motion.sensor_order import HOLD_BACK_NS, Sequencer
+from station.motion.sensor_order import HOLD_BACK_NS, MAX_HELD_SAMPLES, Sequencer
 
 MS = 1_000_000
 
@@ -50,3 +54,50 @@ def test_frames_go_on_without_imu_when_it_is_silent() -> None:
     assert list(without.ready()) == []
     without.add_frame(ImageFrame(1, HOLD_BACK_NS, 0, b""))
     assert len(list(without.ready())) == 1
+
+
+def inertial(*t_ms: int) -> ImuBatch:
+    t = np.array(t_ms, dtype=np.int64) * MS
+    return ImuBatch(t, np.zeros((len(t), 3)), np.zeros((len(t), 3)))
+
+
+def fill(sequencer: Sequencer, t_ms: int) -> None:
+    """With samples that all have this time."""
+    for _ in range(MAX_HELD_SAMPLES // 250):
+        sequencer.add_imu(inertial(*[t_ms] * 250))
+
+
+def times_ms(items: Iterable[ImuBatch | DriveSample | ImageFrame]) -> set[int]:
+    return {t // MS for item in items if isinstance(item, ImuBatch) for t in item.t_robot_ns.tolist()}
+
+
+def test_samples_that_no_picture_will_ever_reach_are_left_out_and_others_go_on() -> None:
+    sequencer = Sequencer(0.0, has_imu=True)
+    sequencer.add_frame(ImageFrame(0, 100 * MS, 0, b""))
+    with pytest.raises(DataError, match=r"more than 60 s after every picture .* clocks disagree"):
+        sequencer.add_imu(inertial(10**12))
+    with pytest.raises(DataError, match="more than 60 s after every picture"):
+        sequencer.add_drive(DriveSample(10**18, 0.0, 0.0))
+    sequencer.add_imu(inertial(90, 95, 200))
+    assert times_ms(sequencer.ready()) == {90, 95}
+    assert times_ms(sequencer.rest()) == {200}
+
+
+def test_memory_is_bounded_while_no_picture_comes_and_the_newest_samples_stay() -> None:
+    sequencer = Sequencer(0.0, has_imu=True)
+    fill(sequencer, 1000)
+    with pytest.raises(DataError, match="60000 samples waited for a picture; the oldest are left out"):
+        sequencer.add_imu(inertial(*[2000] * 250))
+    left = list(sequencer.rest())
+    assert 0.8 * MAX_HELD_SAMPLES < sum(len(item) for item in left if isinstance(item, ImuBatch)) <= MAX_HELD_SAMPLES
+    assert times_ms(left) == {1000, 2000}
+
+
+def test_what_was_dated_far_ahead_before_the_first_picture_gives_its_room_to_the_rest() -> None:
+    sequencer = Sequencer(0.0, has_imu=True)
+    fill(sequencer, 10**12)
+    sequencer.add_frame(ImageFrame(0, 100 * MS, 0, b""))
+    with pytest.raises(DataError, match="left out"):
+        sequencer.add_imu(inertial(90))
+    sequencer.add_imu(inertial(95, 200))
+    assert times_ms(sequencer.ready()) == {90, 95}
