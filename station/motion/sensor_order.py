@@ -30,7 +30,7 @@ class Sequencer:
         self._order = count()
         self._num_held = 0  # samples, of all batches
         self._imu_until_ns = _NEVER_NS
-        self._newest_frame_ns = _NEVER_NS
+        self._newest_frame_ns = self._released_ns = _NEVER_NS
 
     def add_imu(self, imu: ImuBatch) -> None:
         """Raises DataError: these samples are left out, or others for them."""
@@ -73,10 +73,23 @@ class Sequencer:
         return sample
 
     def add_frame(self, frame: ImageFrame) -> None:
-        """Frames out of time order are dropped: the camera's clock only runs forward."""
+        """Frames out of time order are dropped: the camera's clock only runs forward.
+
+        Raises DataError where one is far ahead of the next: it is left out while it waits, else those after it are.
+        """
+        far_ns = frame.t_robot_ns + MAX_AHEAD_NS
+        is_wrong = self._newest_frame_ns > far_ns
+        while self._frames and self._frames[-1].t_robot_ns > far_ns:
+            self._frames.pop()
+            self._newest_frame_ns = self._frames[-1].t_robot_ns if self._frames else self._released_ns
         if frame.t_robot_ns > self._newest_frame_ns:
             self._newest_frame_ns = frame.t_robot_ns
             self._frames.append(frame)
+        if is_wrong:
+            raise DataError(
+                f"pictures dated more than {MAX_AHEAD_NS / 1e9:.0f} s before an earlier one: some are left out, the"
+                " camera's clock jumped"
+            )
 
     def ready(self) -> Iterator[ImuBatch | DriveSample | ImageFrame]:
         """What can go on now, in order."""
@@ -98,6 +111,7 @@ class Sequencer:
         return self._newest_frame_ns >= frame.t_robot_ns + HOLD_BACK_NS
 
     def _release(self, frame: ImageFrame) -> Iterator[ImuBatch | DriveSample | ImageFrame]:
+        self._released_ns = frame.t_robot_ns
         until_ns = frame.t_robot_ns + self._shift_ns
         while self._samples and self._samples[0][0] <= until_ns:
             sample = self._pop()

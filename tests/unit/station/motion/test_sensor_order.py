@@ -101,3 +101,28 @@ def test_what_was_dated_far_ahead_before_the_first_picture_gives_its_room_to_the
         sequencer.add_imu(inertial(90))
     sequencer.add_imu(inertial(95, 200))
     assert times_ms(sequencer.ready()) == {90, 95}
+
+
+def frames_ms(items: Iterable[ImuBatch | DriveSample | ImageFrame]) -> list[int]:
+    return [item.t_robot_ns // MS for item in items if isinstance(item, ImageFrame)]
+
+
+def test_one_picture_dated_far_ahead_does_not_take_the_place_of_all_that_follow() -> None:
+    sequencer = Sequencer(0.0, has_imu=True)
+    sequencer.add_frame(ImageFrame(0, 0, 0, b""))
+    sequencer.add_frame(ImageFrame(1, 10**12 * MS, 0, b""))
+    with pytest.raises(DataError, match="the camera's clock jumped"):
+        sequencer.add_frame(ImageFrame(2, 100 * MS, 0, b""))
+    sequencer.add_frame(ImageFrame(3, 200 * MS, 0, b""))
+    sequencer.add_imu(inertial(90, 300))
+    assert frames_ms(sequencer.ready()) == [0, 100, 200]
+
+
+def test_pictures_that_come_after_one_that_went_on_with_a_wrong_date_are_said_to_be_left_out() -> None:
+    sequencer = Sequencer(0.0, has_imu=True)
+    sequencer.add_frame(ImageFrame(0, 10**8 * MS, 0, b""))
+    sequencer.add_imu(inertial(10**8 + 100))
+    assert frames_ms(sequencer.ready()) == [10**8]
+    with pytest.raises(DataError, match="some are left out"):
+        sequencer.add_frame(ImageFrame(1, 100 * MS, 0, b""))
+    assert frames_ms(sequencer.rest()) == []
