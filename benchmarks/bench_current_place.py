@@ -1,7 +1,7 @@
 """The current place on maps that SLAM made, over several kinds of worlds; every "known" counts.
 
     python -m benchmarks.bench_current_place [--worlds home:600-624 plain:600-624 real] [--wrong-focal 2]
-        [--leave-kind-out] [--cache DIR] [--stored] [--jobs N] [--out FILE.json] [--figure FILE.png] [--results FILE]
+        [--without-turns] [--leave-kind-out] [--cache DIR] [--stored] [--jobs N] [--out FILE.json] [--figure FILE.png] [--results FILE]
 
 Worlds that the cache does not hold are made first (`make_drives`: what a robot sent on drives with a hijack, one room
 left out of the map; the recordings of `real` must lie beside the repository). The tracker then runs over each drive as
@@ -25,7 +25,7 @@ from pathlib import Path
 
 from benchmarks.drive_cache import load, stored
 from benchmarks.fit_image_evidence import without
-from benchmarks.make_drives import Job, jobs_of, make_missing
+from benchmarks.make_drives import Job, add_mapping_option, jobs_of, make_missing
 from benchmarks.result import Figure, Run, add_results_option, share, work_folder
 from station.experiments.calibration_curve import calibration_bins, draw_calibration
 from station.places.rooms.planning import planned
@@ -66,13 +66,15 @@ class JudgedWorld:
     map_error_m: float | None
     drives: tuple[JudgedDrive, ...]
     rooms: tuple[RoomDrive, ...] = ()
+    is_looked_around: bool = True
 
     @property
     def group(self) -> str:
         """What is counted together."""
         if self.kind == real.KIND:
             return ELSEWHERE if self.name.startswith("elsewhere") else self.name
-        return f"{self.kind}, calibration {self.wrong_percent:g} % wrong" if self.wrong_percent else self.kind
+        wrong = f", calibration {self.wrong_percent:g} % wrong" if self.wrong_percent else ""
+        return self.kind + wrong + ("" if self.is_looked_around else ", mapped without looking around")
 
 
 def judge_world(path: Path, leave_kind_out: bool = False) -> JudgedWorld:
@@ -91,7 +93,9 @@ def judge_world(path: Path, leave_kind_out: bool = False) -> JudgedWorld:
             rooms += [judge_rooms(place_map, d, answers) for d, answers in played]
     scale, error_m = (quality.scale, quality.error_m) if quality else (None, None)
     wrong = wrong_percent(world.misfit)
-    return JudgedWorld(world.kind, world.name, wrong, world.failure, scale, error_m, tuple(drives), tuple(rooms))
+    return JudgedWorld(
+        world.kind, world.name, wrong, world.failure, scale, error_m, tuple(drives), tuple(rooms), world.is_looked_around
+    )
 
 
 def described(summary: Summary) -> str:
@@ -241,12 +245,12 @@ def print_report(groups: dict[str, list[JudgedWorld]]) -> None:
             print(f"  - {line(world)}")
 
 
-def jobs_asked(worlds: Sequence[str], wrong_focal: float, cache: Path) -> list[Job]:
+def jobs_asked(worlds: Sequence[str], wrong_focal: float, options: DriveOptions, cache: Path) -> list[Job]:
     """`home:600-624` or `real`."""
     jobs: list[Job] = []
     for text in worlds:
         kind, _, seeds = text.partition(":")
-        jobs += jobs_of(kind, numbers(seeds) if seeds else [], wrong_focal, DriveOptions(), cache)
+        jobs += jobs_of(kind, numbers(seeds) if seeds else [], wrong_focal, options, cache)
     return jobs
 
 
@@ -254,6 +258,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--worlds", nargs="+", default=["small:0-2"])
     parser.add_argument("--wrong-focal", type=float, default=0.0, help="per cent; what goes with it: make_drives")
+    add_mapping_option(parser)
     parser.add_argument("--cache", type=Path, help="folder of drives; by default one of the present code")
     parser.add_argument("--stored", action="store_true", help="all that is in the cache, and nothing else")
     parser.add_argument("--leave-kind-out", action="store_true", help="fitted to the other kinds of worlds only")
@@ -264,7 +269,8 @@ def main() -> int:
     a = parser.parse_args()
     run = Run.begin()
     cache: Path = a.cache or work_folder() / "drives"
-    jobs = [] if a.stored else jobs_asked(a.worlds, a.wrong_focal, cache)
+    options = DriveOptions(looks_around=not a.without_turns)
+    jobs = [] if a.stored else jobs_asked(a.worlds, a.wrong_focal, options, cache)
     is_complete = make_missing(jobs, a.jobs)
     paths = stored(cache) if a.stored else [job.path for job in jobs if job.path.exists()]
     worlds: list[JudgedWorld] = []

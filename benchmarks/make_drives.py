@@ -1,10 +1,12 @@
 """Make recorded drives with truth for `bench_current_place` and for fitting the belief; what is there is left alone.
 
-    python -m benchmarks.make_drives --kinds small,plain --seeds 900-905 [--wrong-focal 2] [--jobs N] --cache DIR
+    python -m benchmarks.make_drives --kinds small,plain --seeds 900-905 [--wrong-focal 2] [--without-turns] [--jobs N] --cache DIR
 
 Each world is mapped by the `ukf` backend from a simulated mapping drive, one room left out, and driven through again
-three times, each with a hijack. `--wrong-focal P`: the robot is built otherwise than it says, by P % in focal length
-and wheels, and P/2 times 1 degree, 1 cm and 5 ms in the camera's mounting and time (tests/support/drives/misfit.py).
+three times, each with a hijack. Whoever maps goes through each room and turns once round in it, as the page asks
+(`--without-turns`: only goes through). `--wrong-focal P`: the robot is built otherwise than it says, by P % in focal
+length and wheels, and P/2 times 1 degree, 1 cm and 5 ms in the camera's mounting and time
+(tests/support/drives/misfit.py).
 One process per core. Every world's line says how true its map is and what it cost.
 """
 
@@ -44,7 +46,8 @@ class Job:
     def path(self) -> Path:
         if self.kind == real.KIND:
             return path_of(self.cache, self.kind, self.name)
-        return path_of(self.cache, self.kind, self.name, self.misfit.name, "slam" if self.options.with_slam else "")
+        how = ("slam" if self.options.with_slam else "", "" if self.options.looks_around else "passing")
+        return path_of(self.cache, self.kind, self.name, self.misfit.name, *how)
 
     def make(self) -> RecordedWorld:
         if self.kind == real.KIND:
@@ -98,16 +101,21 @@ def described(world: RecordedWorld) -> str:
     )
 
 
+def add_mapping_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--without-turns", action="store_true", help="whoever maps does not look around in the rooms")
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kinds", default="small", help="worlds of the simulator, or real; with commas between")
     parser.add_argument("--seeds", type=numbers, default=numbers("900-905"))
     parser.add_argument("--wrong-focal", type=float, default=0.0, help="per cent")
     parser.add_argument("--with-slam", action="store_true", help="a running SLAM gives the drives' odometry")
+    add_mapping_option(parser)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--cache", type=Path, required=True, help="folder, outside of the repository")
     a = parser.parse_args()
-    options = DriveOptions(with_slam=a.with_slam)
+    options = DriveOptions(with_slam=a.with_slam, looks_around=not a.without_turns)
     by_kind = [jobs_of(kind, a.seeds, a.wrong_focal, options, a.cache) for kind in a.kinds.split(",")]
     # Seed by seed, so that what is there when it is ended early has all kinds in it.
     jobs = [job for same_seed in zip_longest(*by_kind) for job in same_seed if job is not None]

@@ -93,6 +93,7 @@ class RecordedWorld:
     truth: Trajectory | None  # of the mapping drive
     drives: tuple[RecordedDrive, ...]
     cpu_s: dict[str, float] = field(default_factory=dict)  # what making it cost
+    is_looked_around: bool = True  # whoever mapped a simulated home turned once round in every room
 
 
 def generator_of(kind: str) -> str:

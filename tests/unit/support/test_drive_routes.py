@@ -5,14 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from robot.simulation.config import SimulationConfig
+from robot.simulation.recording import simulated_calibration
+from robot.simulation.renderer import Renderer
 from robot.simulation.worlds import make_world
 from shared.geometry import FloatArray
+from station.model.frames import DriveSample, ImageFrame, ImuBatch
+from tests.support.drives.robot import AT_M, SimulatedRobot
 from tests.support.drives.routes import (
     PLANS,
     THROUGH,
     UNMAPPED,
+    Plan,
     beyond_door_m,
     mapping_route,
+    middles_of_rooms,
     plan_drive,
     room_left_out,
 )
@@ -32,6 +39,26 @@ def test_the_mapping_route_goes_through_every_room_but_one(kind: str, seed: int)
     route = mapping_route(world, left_out, seed)
     assert rooms_on(route.points, kind, seed) == {r.name for r in world.rooms} - {left_out}
     assert np.linalg.norm(route.points[0] - route.points[-1]) < 0.1
+
+
+def test_whoever_maps_turns_once_round_in_every_room_but_one() -> None:
+    config = SimulationConfig()
+    told = simulated_calibration(config)
+    assert told.camera is not None
+    world = make_world("small", 3)
+    left_out = room_left_out(world)
+    route = mapping_route(world, left_out, 3)
+    spots = middles_of_rooms(world, route)
+    assert sorted(world.room_at(*p) for p in spots) == sorted({r.name for r in world.rooms} - {left_out})
+    plan = Plan("mapping", route, None, 600.0, spots)
+    robot = SimulatedRobot(Renderer(world, told.camera), told, config, plan, 1)
+    assert all(isinstance(item, ImuBatch | DriveSample | ImageFrame) for item in robot.sent(frame_rate_hz=0.001))  # the whole drive
+    T = robot.truth.T_world_body
+    turned = np.abs(np.diff(np.unwrap(np.arctan2(T[:, 1, 0], T[:, 0, 0]))))
+    for spot in spots:
+        is_there = np.hypot(*(T[1:, :2, 3] - spot).T) < 2 * AT_M
+        assert turned[is_there].sum() > 1.9 * np.pi
+    assert np.hypot(*(T[-1, :2, 3] - route.points[-1])) < 0.3
 
 
 @pytest.mark.parametrize("name", PLANS)

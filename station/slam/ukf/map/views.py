@@ -30,7 +30,7 @@ class ViewConfig:
     max_interval_s: float = 2.0
     min_interval_s: float = 0.2  # a machine that is too slow must not make a view of each picture it still gets to
     num_previous: int = 4  # views before, that each one is matched with
-    capacity: int = 400  # beyond, every second view goes and the spacing grows by half
+    capacity: int = 1000  # 0.13 MB each; beyond, every second view goes and the spacing grows by half
 
 
 @dataclass(frozen=True, slots=True, eq=False)
