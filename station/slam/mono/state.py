@@ -148,7 +148,7 @@ class State:
         """New features of six numbers from one view of them (C.2): all that is unknown is how far they are."""
         if not len(ids):
             return self
-        y, J, by_own = self.first_seen(uv_px, lens, config)
+        y, J, by_own = first_seen(self.x[POSITION], self.R, uv_px, config.first_inverse_depth, lens)  # eq. C.2
         own = np.tile(np.diag([0.0, 0.0, config.sigma_first_inverse_depth**2]), (len(ids), 1, 1))
         own[:, :2, :2] = sigma_px**2 * noise
         J = J.reshape(-1, POSE)
@@ -163,10 +163,6 @@ class State:
             is_inverse=np.concatenate([self.is_inverse, np.ones(len(ids), dtype=bool)]),
             noise=np.concatenate([self.noise, noise]),
         )
-
-    def first_seen(self, uv_px: FloatArray, lens: Lens, config: MonoConfig) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """New features from one view of them, with derivatives (eq. C.2)."""
-        return first_seen(self.x[POSITION], self.R, uv_px, config.first_inverse_depth, lens)
 
     def linearity(self) -> FloatArray:
         """L_d (N,) of inverse-depth features, small where XYZ would do as well; infinity of XYZ features."""

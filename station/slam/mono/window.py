@@ -15,7 +15,7 @@ import numpy as np
 
 from shared.geometry import FloatArray, IntArray, so3_exp
 from station.slam.mono.config import MonoConfig
-from station.slam.mono.measurement import angles_of, bearing
+from station.slam.mono.measurement import angles_of, bearing, first_seen
 from station.slam.mono.motion import CAMERA, POSE, POSITION, move
 from station.slam.mono.state import State
 from station.vision.lens import Lens
@@ -51,7 +51,7 @@ class Window:
     def again(self, state: State, sigma_px: float) -> tuple[list[State], float]:
         """The states after each image, the last one honest of its errors; and the noise that was left, px."""
         ids = np.concatenate([image.ids for image in self._images])
-        paths = [self._back(self._images, state.only(ids), sigma_px)]  # no other features say where the camera was
+        paths = [self._back(state.only(ids), sigma_px)]  # no other features say where the camera was
         if np.isin(ids, self._first.ids).sum() < len(ids) / 2:
             paths.append([mirrored(past, self._first) for past in paths[0]])
         path, sigma_px, _ = min((self._settled(each, sigma_px) for each in paths), key=lambda found: found[2])
@@ -66,7 +66,7 @@ class Window:
         for _ in range(MAX_ROUNDS):
             images = [image.only(good) for image in self._images]
             path, chi2 = self._round(self._first.only(good), images, path, sigma_px)
-            change, before = abs(chi2 - before), chi2
+            change, before, square = abs(chi2 - before), chi2, chi2 * sigma_px**2
             if change > SETTLED:  # noise is measured, and features are judged, where the path is known
                 continue
             squares, rows = self._errors(images, path)
@@ -80,12 +80,15 @@ class Window:
                 break
             good = good[~is_bad]
         left_out = sum(len(image.ids) - len(kept.ids) for image, kept in zip(self._images, images, strict=True))
-        return path, sigma_px, (chi2 + left_out * 2 * BAD_SIGMAS**2) * sigma_px**2
-    def _back(self, images: list[Measured], state: State, sigma_px: float) -> list[State]:
+        return path, sigma_px, square + left_out * 2 * (BAD_SIGMAS * sigma_px) ** 2
+
+    def _back(self, state: State, sigma_px: float) -> list[State]:
         """From the last image to the first one; in the order of time."""
         path = [state]
-        for image, before in zip(images[:0:-1], images[-2::-1], strict=True):
-            state = self._fuse(state.moved(self._config, -image.dt_s), before, sigma_px)
+        for image, before in zip(self._images[:0:-1], self._images[-2::-1], strict=True):
+            state = state.moved(self._config, -image.dt_s)
+            rows = np.searchsorted(state.ids, before.ids)
+            state = state.updated(state.expect(self._lens, rows, sigma_px), before.uv_px)
             path.append(state)
         return path[::-1]
 
@@ -103,7 +106,7 @@ class Window:
             nu, information = (old.uv_px - expected.uv_px).ravel(), np.linalg.inv(expected.S)
             chi2 += float(nu @ information @ nu)
             state = state.updated(expected, old.uv_px)
-            by_pose = state.first_seen(new.uv_px, self._lens, self._config)[1]
+            by_pose = first_seen(state.x[POSITION], state.R, new.uv_px, self._config.first_inverse_depth, self._lens)[1]
             noise = at.noise[np.searchsorted(at.ids, new.ids)]
             state = state.with_features(new.ids, new.uv_px, noise, self._lens, self._config, sigma_px)
             steps.append((F, expected, nu, information, by_pose, state))
@@ -116,10 +119,6 @@ class Window:
             later += expected.H.T @ (information @ (nu - expected.HP @ later))
             later[:CAMERA] = F.T @ later[:CAMERA]
         return path[::-1], chi2
-
-    def _fuse(self, state: State, image: Measured, sigma_px: float, at: State | None = None) -> State:
-        rows = np.searchsorted(state.ids, image.ids)
-        return state.updated(state.expect(self._lens, rows, sigma_px, at), image.uv_px)
 
     def _errors(self, images: list[Measured], path: list[State]) -> tuple[FloatArray, IntArray]:
         """Squared errors (K,) px^2 of all measurements, as if of noise 1, and their features' rows (K,)."""
