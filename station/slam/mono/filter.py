@@ -93,7 +93,7 @@ class MonoFilter:
         self._images = [kept.only(self.state.ids) for kept in [*self._images, image]]
         count = len(self._images)
         # Where little is found, only the motion model links what comes to what was: a start like the first one.
-        is_end = count == config.window_images[-1] or (count > 1 and num_found < config.min_found)
+        is_end = count == config.window_images[-1]
         if not is_end and count not in config.window_images:
             return []
         again, self.sigma_px = Window(self._lens, config, self._first, self._images).again(self.state, self.sigma_px)
