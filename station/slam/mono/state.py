@@ -12,6 +12,7 @@ from shared.geometry import FloatArray, IntArray, se3, so3_exp, so3_log
 from station.slam.mono.config import MonoConfig
 from station.slam.mono.measurement import Predicted, bearing, first_seen, predict, to_xyz
 from station.slam.mono.motion import ATTITUDE, CAMERA, POSE, POSITION, impulse_covariance, move
+from station.vision.innovations import diagonal_blocks
 from station.vision.lens import BoolArray, Lens
 
 
@@ -33,12 +34,6 @@ class Expected:
     def ellipses(self) -> FloatArray:
         """S_i of eq. 2.6 (M, 2, 2), each feature's own: the blocks on the diagonal."""
         return diagonal_blocks(self.S, 2)
-
-
-def diagonal_blocks(A: FloatArray, k: int) -> FloatArray:
-    """The blocks (M, k, k) on the diagonal of A (M k, M k): a view."""
-    M = len(A) // k
-    return np.asarray(np.einsum("iaib->iab", A.reshape(M, k, M, k)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
