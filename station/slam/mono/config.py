@@ -24,7 +24,7 @@ class MonoConfig:
     agree_chi2: float = 9.21  # 99 % of two degrees of freedom; what contradicts the others more is wrong
     min_tries: int = 8  # before a feature can be given up for being found too rarely
     min_found_share: float = 0.5
-    min_found: int = 6  # fewer found features say too little of how the camera moved: a window ends
+    min_found: int = 6  # fewer found features say too little of how the camera moved
     max_outage_s: float = 0.5  # for that long: tracking is lost
     gate_sigmas: float = 3.0  # size of the search ellipse
     coarse: int = 4  # where corners are too few, the picture shrunk so many times is searched for shades

@@ -9,8 +9,9 @@ import numpy as np
 
 from shared.geometry import FloatArray, IntArray
 from station.slam.mono.config import MonoConfig
-from station.slam.mono.state import Expected, State, diagonal_blocks
+from station.slam.mono.state import Expected, State
 from station.slam.mono.window import Measured, Window
+from station.vision.innovations import agreeing
 from station.vision.lens import BoolArray, Lens
 
 MARGIN_PX = 10.0  # to the image's border: a patch must fit
@@ -52,13 +53,14 @@ class MonoFilter:
         """Take one image in, dt_s after the one before."""
         predicted = self.state.moved(self._config, dt_s)  # eqs. 2.1 to 2.3
         expected = self._choose(predicted)  # eqs. 2.4 to 2.6, C.5
-        uv, found = finder.find(predicted, expected)
-        agreed = self._compatible(expected, uv, np.flatnonzero(found))
+        uv, is_found = finder.find(predicted, expected)
+        found = np.flatnonzero(is_found)
+        agreed = found[agreeing(uv[found] - expected.uv_px[found], expected.of(found).S, self._config.agree_chi2)]
         self.state = predicted.updated(expected.of(agreed), uv[agreed])
         new_ids, new_uv = self._add(finder)  # eq. C.2
         ids = np.concatenate([predicted.ids[expected.rows[agreed]], new_ids])
         uv = np.concatenate([uv[agreed], new_uv])
-        again = self._go_again(Measured(dt_s, ids, uv, predicted.ids[expected.rows]), len(agreed))
+        again = self._go_again(Measured(dt_s, ids, uv, predicted.ids[expected.rows]))
         return FrameResult(predicted, expected, len(agreed), ids, uv, again)
 
     def _choose(self, state: State) -> Expected:
@@ -68,37 +70,16 @@ class MonoFilter:
         gain = np.linalg.det(expected.ellipses()) / np.linalg.det(state.noise[expected.rows])
         return expected.of(np.sort(np.argsort(-gain, kind="stable")[: self._config.num_measured]))
 
-    def _compatible(self, expected: Expected, uv: FloatArray, found: IntArray) -> IntArray:
-        """Which of the found measurements (K,) agree with each other; uv (M, 2) are measured pixels.
-
-        All innovations nu are one Gaussian with covariance S. Where the others are known, one of them is off by
-        (S^-1)_ii^-1 (S^-1 nu)_i, with covariance (S^-1)_ii^-1. While one contradicts, the worst goes.
-        Source: Neira and Tardos, IEEE T-RA 17(6), 2001, joint compatibility; patches have one candidate each: no tree.
-        """
-        while len(found):
-            chosen = expected.of(found)
-            information = np.asarray(np.linalg.inv(chosen.S), dtype=np.float64)
-            left = (information @ (uv[found] - chosen.uv_px).ravel()).reshape(-1, 2)
-            own = diagonal_blocks(information, 2)
-            chi2 = np.einsum("mi,mij,mj->m", left, np.linalg.inv(own), left)
-            worst = int(np.argmax(chi2))
-            if chi2[worst] < self._config.agree_chi2:
-                break
-            found = np.delete(found, worst)
-        return found
-
-    def _go_again(self, image: Measured, num_found: int) -> list[State]:
+    def _go_again(self, image: Measured) -> list[State]:
         """Keep the image; now and then, and where the window ends, go through all of its images once more."""
         config = self._config
         self._images = [kept.only(self.state.ids) for kept in [*self._images, image]]
         count = len(self._images)
-        # Where little is found, only the motion model links what comes to what was: a start like the first one.
-        is_end = count == config.window_images[-1] or (count > 1 and num_found < config.min_found)
-        if not is_end and count not in config.window_images:
+        if count not in config.window_images:
             return []
         again, self.sigma_px = Window(self._lens, config, self._first, self._images).again(self.state, self.sigma_px)
         self.state = again[-1]
-        if is_end:
+        if count == config.window_images[-1]:
             self._tend()
             self._first, self._images = self.state, []
         return again

@@ -6,11 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
+from scipy.sparse import csr_array
 
 from shared.geometry import FloatArray, IntArray, se3, so3_exp, so3_log
 from station.slam.mono.config import MonoConfig
 from station.slam.mono.measurement import Predicted, bearing, first_seen, predict, to_xyz
 from station.slam.mono.motion import ATTITUDE, CAMERA, POSE, POSITION, impulse_covariance, move
+from station.vision.innovations import diagonal_blocks
 from station.vision.lens import BoolArray, Lens
 
 
@@ -20,23 +22,18 @@ class Expected:
 
     rows: IntArray  # (M,) of State.ids
     uv_px: FloatArray  # (M, 2)
+    H: csr_array  # (2M, n) their derivatives by every number of the state
     HP: FloatArray  # (2M, n) what links their pixels to every number of the state
     S: FloatArray  # (2M, 2M) of their innovations
 
     def of(self, chosen: IntArray) -> Expected:
         """The same of fewer features; chosen (K,) indexes rows."""
         two = (2 * chosen[:, None] + np.arange(2)).ravel()
-        return Expected(self.rows[chosen], self.uv_px[chosen], self.HP[two], self.S[np.ix_(two, two)])
+        return Expected(self.rows[chosen], self.uv_px[chosen], self.H[two], self.HP[two], self.S[np.ix_(two, two)])
 
     def ellipses(self) -> FloatArray:
         """S_i of eq. 2.6 (M, 2, 2), each feature's own: the blocks on the diagonal."""
         return diagonal_blocks(self.S, 2)
-
-
-def diagonal_blocks(A: FloatArray, k: int) -> FloatArray:
-    """The blocks (M, k, k) on the diagonal of A (M k, M k): a view."""
-    M = len(A) // k
-    return np.asarray(np.einsum("iaib->iab", A.reshape(M, k, M, k)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,17 +105,18 @@ class State:
         there = rows if at is None else np.searchsorted(at.ids, self.ids[rows])
         seen = (self if at is None else at).predict(lens)
         uv, H_x, H_y, mine = seen.uv_px[there], seen.by_pose[there], seen.by_feature[there], self.rows()[rows]
-        HP = (H_x @ self.P[:POSE] + H_y @ self.P[mine]).reshape(-1, len(self.x))
-        # Eq. 2.6, its four terms: two in HP (P_xx and P_yx; P_xy and P_yy), by H_x and by H_y once more.
-        by_feature = np.einsum("amk,mjk->amj", HP[:, mine], H_y).reshape(len(HP), len(HP))
-        S = HP[:, :POSE] @ H_x.reshape(-1, POSE).T + by_feature
+        columns = np.concatenate([np.broadcast_to(np.arange(POSE), (len(rows), POSE)), mine], axis=1)
+        values, every = np.concatenate([H_x, H_y], axis=2).ravel(), np.repeat(columns, 2, axis=0)
+        H = csr_array((values, every.ravel(), np.arange(0, every.size + 1, 12)), shape=(len(every), len(self.x)))
+        HP = np.asarray(H @ self.P)
+        S = np.asarray(H @ HP.T)  # eq. 2.6, its four terms: H has a part of the camera and one of the feature
         if at is not None:  # this mean, seen from there to first order
             pose = np.concatenate([self.x[POSITION] - at.x[POSITION], so3_log(at.R.T @ self.R)])
             feature = self.x[mine] - at.x[at.rows()[there]]
             uv = uv + H_x @ pose + (H_y @ feature[:, :, None])[:, :, 0]
         S = 0.5 * (S + S.T)
         diagonal_blocks(S, 2)[:] += sigma_px**2 * self.noise[rows]  # R of eq. 2.6
-        return Expected(rows, uv, HP, S)
+        return Expected(rows, uv, H, HP, S)
 
     def updated(self, expected: Expected, uv_px: FloatArray) -> State:
         """The Kalman update with measured pixels (M, 2): x + P H^T S^-1 nu, P - P H^T S^-1 H P."""
@@ -127,10 +125,15 @@ class State:
         L = np.linalg.cholesky(expected.S)
         nu = (uv_px - expected.uv_px).ravel()
         W = scipy.linalg.solve_triangular(L, expected.HP, lower=True, check_finite=False)
-        x = self.x + W.T @ scipy.linalg.solve_triangular(L, nu, lower=True, check_finite=False)
+        step = W.T @ scipy.linalg.solve_triangular(L, nu, lower=True, check_finite=False)
+        return replace(self.shifted(step), P=self.P - W.T @ W)
+
+    def shifted(self, step: FloatArray) -> State:
+        """The same, its mean so far (n,) away."""
+        x = self.x + step
         R = self.R @ so3_exp(x[ATTITUDE])
         x[ATTITUDE] = 0.0
-        return replace(self, x=x, R=R, P=self.P - W.T @ W)
+        return replace(self, x=x, R=R)
 
     # ---- the map
 

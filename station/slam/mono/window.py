@@ -3,7 +3,8 @@
 While little has moved, an image shows inverse depth times velocity, both unknown, and derivatives at first guesses make
 the filter far too sure of them. So it goes back through its measurements, and forward again from before them with the
 derivatives of that path; where most features are new also from the mirror image of that path. What fits better stays.
-Source: the iterated extended Kalman smoother, Bell, SIAM J. Optimization 4(3), 1994: a Gauss-Newton step a round.
+Source: the iterated extended Kalman smoother, Bell, SIAM J. Optimization 4(3), 1994: a Gauss-Newton step a round. Its
+smoother: Bierman, Automatica 9(5), 1973; no measurement counts twice, and only means go back.
 """
 
 from __future__ import annotations
@@ -14,13 +15,14 @@ import numpy as np
 
 from shared.geometry import FloatArray, IntArray, so3_exp
 from station.slam.mono.config import MonoConfig
-from station.slam.mono.measurement import angles_of, bearing
-from station.slam.mono.motion import POSE, POSITION
+from station.slam.mono.measurement import angles_of, bearing, first_seen
+from station.slam.mono.motion import CAMERA, POSE, POSITION, move
 from station.slam.mono.state import State
 from station.vision.lens import Lens
 
 MAX_ROUNDS = 8  # less where the errors no longer change
-SETTLED = 0.1  # change of the mean squared error, of the noise's square
+SETTLED = 0.3  # change of chi-square: the path moved by half a sigma
+NOISE_SETTLED = 0.1  # change of the noise, of itself
 BAD_SIGMAS = 2.0  # a feature whose errors are larger on the mean is no fixed point
 MIN_FREE = 60  # degrees of freedom; fewer say too little of the noise
 MEDIAN_CHI2 = 1.386  # of two degrees of freedom
@@ -49,59 +51,74 @@ class Window:
     def again(self, state: State, sigma_px: float) -> tuple[list[State], float]:
         """The states after each image, the last one honest of its errors; and the noise that was left, px."""
         ids = np.concatenate([image.ids for image in self._images])
-        paths = [self._back(self._images, state.only(ids), sigma_px)]  # no other features say where the camera was
+        paths = [self._back(state.only(ids), sigma_px)]  # no other features say where the camera was
         if np.isin(ids, self._first.ids).sum() < len(ids) / 2:
             paths.append([mirrored(past, self._first) for past in paths[0]])
         path, sigma_px, _ = min((self._settled(each, sigma_px) for each in paths), key=lambda found: found[2])
         good = path[-1].ids
         images = [image.only(good) for image in self._images]
         first = self._first.only(np.setdiff1d(state.ids, np.setdiff1d(ids, good)))  # with those that were not seen
-        return [*path[:-1], self._forth(first, images, path, sigma_px)], sigma_px
+        return self._round(first, images, path, sigma_px)[0], sigma_px
 
     def _settled(self, path: list[State], sigma_px: float) -> tuple[list[State], float, float]:
         """Where rounds from this path lead; the noise, px; the squared errors, px^2, also of what is left out."""
         good, before = path[-1].ids, np.inf
         for _ in range(MAX_ROUNDS):
             images = [image.only(good) for image in self._images]
-            path = self._back(images, self._forth(self._first.only(good), images, path, sigma_px), sigma_px)
+            path, chi2 = self._round(self._first.only(good), images, path, sigma_px)
+            change, before, square = abs(chi2 - before), chi2, chi2 * sigma_px**2
+            if change > SETTLED:  # noise is measured, and features are judged, where the path is known
+                continue
             squares, rows = self._errors(images, path)
-            free = 2 * len(rows) - POSE * len(path) - 3 * len(good)
+            free, was_px = 2 * len(rows) - POSE * len(path) - 3 * len(good), sigma_px
             if free > MIN_FREE:
                 noise_px = float(np.sqrt(np.median(squares) / MEDIAN_CHI2 * 2 * len(rows) / free))
                 sigma_px = max(noise_px, self._config.min_sigma_px)
-            change, before = abs(squares.sum() - before), squares.sum()
-            if change > SETTLED * len(rows) * sigma_px**2:
-                continue
             mean = np.bincount(rows, squares, len(good)) / np.maximum(2 * np.bincount(rows, minlength=len(good)), 1)
             is_bad = mean > (BAD_SIGMAS * sigma_px) ** 2
-            if not is_bad.any():
+            if not is_bad.any() and abs(sigma_px - was_px) < NOISE_SETTLED * was_px:
                 break
             good = good[~is_bad]
-        num_left_out = sum(len(image.ids) for image in self._images) - len(rows)
-        return path, sigma_px, float(squares.sum()) + num_left_out * 2 * (BAD_SIGMAS * sigma_px) ** 2
+        left_out = sum(len(image.ids) - len(kept.ids) for image, kept in zip(self._images, images, strict=True))
+        return path, sigma_px, square + left_out * 2 * (BAD_SIGMAS * sigma_px) ** 2
 
-    def _back(self, images: list[Measured], state: State, sigma_px: float) -> list[State]:
+    def _back(self, state: State, sigma_px: float) -> list[State]:
         """From the last image to the first one; in the order of time."""
         path = [state]
-        for image, before in zip(images[:0:-1], images[-2::-1], strict=True):
-            state = self._fuse(state.moved(self._config, -image.dt_s), before, sigma_px)
+        for image, before in zip(self._images[:0:-1], self._images[-2::-1], strict=True):
+            state = state.moved(self._config, -image.dt_s)
+            rows = np.searchsorted(state.ids, before.ids)
+            state = state.updated(state.expect(self._lens, rows, sigma_px), before.uv_px)
             path.append(state)
         return path[::-1]
 
-    def _forth(self, state: State, images: list[Measured], path: list[State], sigma_px: float) -> State:
-        """From before the first image to the last one, with derivatives taken on the path."""
+    def _round(
+        self, state: State, images: list[Measured], path: list[State], sigma_px: float
+    ) -> tuple[list[State], float]:
+        """From before the first image to the last one, with derivatives taken on the path; the path that this makes
+        most probable, and chi-square of all that was assumed."""
+        steps, chi2 = [], 0.0
         for image, at in zip(images, path, strict=True):
+            F = move(state.x[:CAMERA], state.R, np.zeros(6), image.dt_s)[2]
             state = state.moved(self._config, image.dt_s)
-            is_new = ~np.isin(image.ids, state.ids)
-            state = self._fuse(state, image.only(state.ids), sigma_px, at)
-            noise = at.noise[np.searchsorted(at.ids, image.ids[is_new])]
-            new = image.ids[is_new], image.uv_px[is_new], noise
-            state = state.with_features(*new, self._lens, self._config, sigma_px)
-        return state
-
-    def _fuse(self, state: State, image: Measured, sigma_px: float, at: State | None = None) -> State:
-        rows = np.searchsorted(state.ids, image.ids)
-        return state.updated(state.expect(self._lens, rows, sigma_px, at), image.uv_px)
+            old, new = image.only(state.ids), image.only(np.setdiff1d(image.ids, state.ids))
+            expected = state.expect(self._lens, np.searchsorted(state.ids, old.ids), sigma_px, at)
+            nu, information = (old.uv_px - expected.uv_px).ravel(), np.linalg.inv(expected.S)
+            chi2 += float(nu @ information @ nu)
+            state = state.updated(expected, old.uv_px)
+            by_pose = first_seen(state.x[POSITION], state.R, new.uv_px, self._config.first_inverse_depth, self._lens)[1]
+            noise = at.noise[np.searchsorted(at.ids, new.ids)]
+            state = state.with_features(new.ids, new.uv_px, noise, self._lens, self._config, sigma_px)
+            steps.append((F, expected, nu, information, by_pose, state))
+        # What later images say of each number: P times this is the step that they ask for.
+        path, later = [], np.zeros(len(state.x))
+        for F, expected, nu, information, by_pose, state in reversed(steps):
+            path.append(state.shifted(state.P @ later))
+            later, of_new = np.split(later, [expected.H.shape[1]])
+            later[:POSE] += by_pose.reshape(-1, POSE).T @ of_new
+            later += expected.H.T @ (information @ (nu - expected.HP @ later))
+            later[:CAMERA] = F.T @ later[:CAMERA]
+        return path[::-1], chi2
 
     def _errors(self, images: list[Measured], path: list[State]) -> tuple[FloatArray, IntArray]:
         """Squared errors (K,) px^2 of all measurements, as if of noise 1, and their features' rows (K,)."""

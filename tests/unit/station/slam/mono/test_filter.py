@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from shared.geometry import inverse, transform
+from shared.geometry import FloatArray, inverse, transform
 from station.experiments.trajectory_error import absolute_trajectory_error, path_length
 from station.model.navigation import Trajectory
 from station.slam.mono.config import MonoConfig
 from station.slam.mono.filter import FrameResult, MonoFilter
 from station.slam.mono.motion import ATTITUDE, CAMERA
-from station.vision.lens import Lens
+from station.slam.mono.state import Expected, State
+from station.vision.lens import BoolArray, Lens
 from tests.support.mono import NEES_DEGREES, RATE_HZ, PointFinder, hand_held_camera, hand_held_path, pose_nees
 from tests.support.synthetic_run import room_points
 
@@ -73,6 +74,29 @@ def test_covariance_stays_symmetric_and_positive_and_the_attitude_a_rotation() -
     assert np.linalg.eigvalsh(state.P).min() > -1e-9
     np.testing.assert_allclose(state.R @ state.R.T, np.eye(3), atol=1e-12)
     assert not state.x[ATTITUDE].any()
+
+
+class Blinking(PointFinder):
+    """Sees nothing for a moment."""
+
+    is_blind = False
+
+    def find(self, state: State, expected: Expected) -> tuple[FloatArray, BoolArray]:
+        uv, found = super().find(state, expected)
+        return uv, found & (not self.is_blind)
+
+
+def test_window_does_not_end_where_nothing_is_seen_since_least_is_known_there() -> None:
+    calibration, path = hand_held_camera(), hand_held_path(1, 1.0)
+    assert calibration.camera is not None
+    lens = Lens(calibration.camera)
+    finder = Blinking(lens, room_points(path.T_world_body[:, :3, 3], 1), 1.0, 1)
+    mono, results = MonoFilter(lens, MonoConfig()), []
+    for k, T_world_cam in enumerate(path.T_world_body[:20]):
+        finder.is_blind = k in (12, 13)
+        finder.look_from(T_world_cam)
+        results.append(mono.process(1.0 / RATE_HZ if k else 0.0, finder))
+    assert [len(result.again) for result in results] == [0] * 9 + [10] + [0] * 9 + [20]
 
 
 def test_map_keeps_its_size() -> None:
