@@ -169,7 +169,7 @@ class MapViews:
         if keyframe.T_body_head is None or since_s < self._config.min_interval_turned_s:
             return False
         R = last.T_world_head[:3, :3].T @ keyframe.T_world_head[:3, :3]
-        return rotation_angle(R) > self.least_turn_rad
+        return bool(rotation_angle(R) > self.least_turn_rad)
 
     def _thin(self) -> None:
         """Every second view stays, with the matches among those that stay."""
