@@ -94,7 +94,15 @@ def judge_world(path: Path, leave_kind_out: bool = False) -> JudgedWorld:
     scale, error_m = (quality.scale, quality.error_m) if quality else (None, None)
     wrong = wrong_percent(world.misfit)
     return JudgedWorld(
-        world.kind, world.name, wrong, world.failure, scale, error_m, tuple(drives), tuple(rooms), world.is_looked_around
+        world.kind,
+        world.name,
+        wrong,
+        world.failure,
+        scale,
+        error_m,
+        tuple(drives),
+        tuple(rooms),
+        world.is_looked_around,
     )
 
 

@@ -76,12 +76,6 @@ class HeadPose:
         pan, tilt = (self.angles + off).tolist()
         return turned(self.calibration, pan, tilt)
 
-    @property
-    def aim(self) -> Aim:
-        """As it was told, of servos that nobody has measured."""
-        root = self.by_errors @ errors_before_the_drive(self.calibration)
-        return Aim(self.T_body_head(np.zeros(2)), float(np.linalg.norm(root)))
-
     def by_angles(self, off: FloatArray) -> tuple[FloatArray, FloatArray]:
         """How T_body_head changes with the angles: rotation vectors (3, 2) and displacements (3, 2), in body axes."""
         pan = float(self.angles[0] + off[0])

@@ -20,7 +20,7 @@ from station.model.place_answer import Localization, PlaceAnswer
 from station.model.place_map import PlaceMap
 from station.motion.head import AHEAD, Aim
 from station.places.making.scale import USUAL_VIEWING_M
-from station.places.tracking.belief import Hypothesis
+from station.places.tracking.belief import Belief, Hypothesis
 from station.places.tracking.config import BeliefConfig
 from station.places.tracking.filter import (
     predict_blind,
@@ -35,9 +35,12 @@ from station.places.tracking.filter import (
 from station.places.tracking.image_evidence import ImageEvidence, ImageLikelihood
 from station.places.tracking.map_view import MapView
 from station.places.tracking.report import Past, PlaceProbabilities, Reporter
+from station.places.tracking.servos import SureView
 
 HISTORY = 600  # odometry poses kept, so that an image localised late still meets its own moment: 20 s at 30 Hz
 NO_IMAGE_BEFORE = 0.5  # that it failed is as good as that it did not
+SURELY_RIGHT = 0.9  # probability of an image's pose, from which on servos are learned from it,
+SURELY_NEAR = 9.0  # ... and its squared Mahalanobis distance from the expected one
 ODOMETRY_GAP_S = 1.0  # after a longer silence, odometry is treated as absent
 
 
@@ -86,6 +89,7 @@ class CurrentPlaceEstimator:
         self._doubt = 1.0  # the least probability, while it was believed, that it is false
         self._believed_ns = 0  # when it was believed last
         self._hijack_reason = ""
+        self.sure_view: SureView | None = None  # of the last image, where its pose was expected and is believed
 
     def regroup(self, maps: Sequence[PlaceMap]) -> None:
         """The same maps with other places or names. What is known of the robot's pose stays."""
@@ -119,16 +123,20 @@ class CurrentPlaceEstimator:
         `t_robot_ns`: its time in the odometry's clock, where that differs; `aim`: of the camera then. Returns the jump
         when the belief went over to where the robot cannot have driven.
         """
+        self.sure_view = None
         ours = [z for z in candidates if z.map_id in self._map_ids]
         if not ours:
             return None
         t = ours[0].t_robot_ns if t_robot_ns is None else t_robot_ns
         self._predict(t)
         T_nav_body = self._nav_body_at(t)
-        image = self._evidence.of_candidates(ours, self._belief, T_nav_body, aim)
+        before = self._belief
+        image = self._evidence.of_candidates(ours, before, T_nav_body, aim)
         self._update(image, T_nav_body, aim)
         self._failed_before = 0.0
         jump = self._believe(t, T_nav_body)
+        if self._believed is not None and self._believed_ns == t:
+            self.sure_view = self._sure_view(self._believed, image, before, T_nav_body, aim)
         if not self._has_wheels:
             self._look_around(ours, t, T_nav_body)
         return jump
@@ -227,6 +235,24 @@ class CurrentPlaceEstimator:
         distance, turn = _motion(before.pose(T_nav_body), best.pose(T_nav_body))
         distance_m = distance / best.unit
         return Jump(distance_m, False, moved) if distance_m > c.jump_m or turn > c.jump_rad else None
+
+    def _sure_view(
+        self, best: Hypothesis, image: ImageLikelihood, before: Belief, T_nav_body: FloatArray, aim: Aim
+    ) -> SureView | None:
+        """Which way the head looks, by the candidate that the believed hypothesis expected; None without one.
+
+        Only where the map's vertical is known, from which azimuths are told.
+        """
+        index = next((i for i, h in enumerate(before.hypotheses) if h.number == best.number), None)
+        correction = None if index is None else image.corrects[index]
+        if correction is None or correction.fit.slipped or self._maps[best.map_index].floor is None:
+            return None
+        if correction.probability < SURELY_RIGHT or correction.fit.squared > SURELY_NEAR:
+            return None
+        m = image.candidates[correction.candidate]
+        R_map_head = m.T_map_body[:3, :3] @ aim.T_body_head[:3, :3]
+        sigma_rad = float(np.sqrt(max(m.sigma_rad**2 - aim.sigma_rad**2, 0.0)))
+        return SureView(R_map_head, sigma_rad, T_nav_body[:3, :3], (best.number, self._segment))
 
     def _look_around(self, localizations: Sequence[Localization], t_robot_ns: int, T_nav_body: FloatArray) -> None:
         """At a pose that is believed, but where the map does not know its way, what this image saw through is free.

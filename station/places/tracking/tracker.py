@@ -17,12 +17,13 @@ from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.place_answer import HijackEvent, PlaceAnswer
 from station.model.place_map import PlaceMap
 from station.motion.dead_reckoning import DeadReckoning
-from station.motion.head import AHEAD, HeadTrack
+from station.motion.head import AHEAD
 from station.places.localisation.localizer import Attempt, Localizer
 from station.places.tracking.config import BeliefConfig
 from station.places.tracking.current import CurrentPlaceEstimator
 from station.places.tracking.hijack import HijackDetector
 from station.places.tracking.odometry import BlendedOdometry
+from station.places.tracking.servos import ServoLearner
 
 ODOMETRY_EVERY_NS = 50_000_000
 
@@ -43,7 +44,7 @@ class PlaceTracker:
         self.estimator = CurrentPlaceEstimator(maps, calibration, config)
         self.hijacks = HijackDetector(has_wheels=calibration.has_wheels)
         self._reckoning = DeadReckoning()
-        self._head = HeadTrack(calibration.head)
+        self._servos = ServoLearner(calibration.head, self.estimator.config)
         self._blended = BlendedOdometry()
         self._odometry_t_ns: int | None = None
         self._events: list[HijackEvent] = []
@@ -69,7 +70,7 @@ class PlaceTracker:
     def on_drive(self, drive: DriveSample) -> None:
         self.hijacks.on_drive(drive)
         self._reckoning.add_drive(drive)
-        self._head.add(drive)
+        self._servos.on_drive(drive)
 
     def on_odometry(self, t_robot_ns: int, T_nav_body: FloatArray, segment: int = 0) -> None:
         """A pose of a running SLAM in metres, however late: better than dead reckoning up to its time."""
@@ -87,8 +88,7 @@ class PlaceTracker:
             return None
         attempt = self.localizer.attempt(frame, self._calibration, self._fit)
         self.last_attempt = attempt
-        head = self._head.pose(t, t)
-        aim = self.last_aim = AHEAD if head is None else head.aim
+        aim = self.last_aim = self._servos.aim(t)
         seen = self.hijacks.on_view(t, attempt.features, aim) if attempt.features is not None else None
         if seen is not None:
             self._on_hijack(seen)
@@ -96,6 +96,8 @@ class PlaceTracker:
             self.estimator.on_failure(t, attempt.num_features, aim)
             return attempt
         jump = self.estimator.on_candidates(attempt.candidates, t, aim)
+        if self.estimator.sure_view is not None:
+            self._servos.learn(self.estimator.sure_view)
         event = None if jump is None else self.hijacks.on_jump(t, jump.distance_m, jump.is_other_map, jump.moved)
         if event is not None:
             self._events.append(event)  # the estimate is there already

@@ -78,6 +78,29 @@ def lay_on_imu(
     return made, camera
 
 
+def among(made: OdometryMap, at: Sequence[int]) -> OdometryMap:
+    """The map of some of its keyframes."""
+    number = np.full(len(made.rays), -1, dtype=np.int64)
+    number[at] = np.arange(len(at))
+    keep = np.asarray(number[made.tracks.keyframe] >= 0, dtype=np.bool_)
+    tracks = made.tracks.only(keep)
+    state = replace(
+        made.state,
+        R_world_body=made.state.R_world_body[at],
+        p_world_body=made.state.p_world_body[at],
+        points=made.state.points[made.tracks.alive(keep)],
+    )
+    rays = [made.rays[k] for k in at]
+    return replace(made, state=state, tracks=replace(tracks, keyframe=number[tracks.keyframe]), rays=rays)
+
+
+def moved_to(made: OdometryMap, T_world_body: FloatArray, camera: CameraCalibration) -> OdometryMap:
+    """The map with its keyframes at other poses (N, 4, 4): what they show is triangulated anew, nothing adjusted."""
+    state = replace(made.state, R_world_body=T_world_body[:, :3, :3], p_world_body=T_world_body[:, :3, 3])
+    state, kept = refine(state, made.tracks, made.rays, lambda state, *_: state, camera, ())
+    return odometry_map(state, kept, made.rays, camera, made.num_loops, made.num_matches)
+
+
 def _scale_px(state: BundleState, seen: Observations) -> float:
     """Of the robust loss, by what the map's own features are off by.
 

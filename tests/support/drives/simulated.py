@@ -41,7 +41,15 @@ from tests.support.drives.recorded import (
     in_map,
 )
 from tests.support.drives.robot import Sent, SimulatedRobot
-from tests.support.drives.routes import PLANS, Plan, beyond_door_m, mapping_route, middles_of_rooms, plan_drive, room_left_out
+from tests.support.drives.routes import (
+    PLANS,
+    Plan,
+    beyond_door_m,
+    mapping_route,
+    middles_of_rooms,
+    plan_drive,
+    room_left_out,
+)
 
 MAX_MAPPING_S = 240.0
 

@@ -52,7 +52,9 @@ def test_whoever_maps_turns_once_round_in_every_room_but_one() -> None:
     assert sorted(world.room_at(*p) for p in spots) == sorted({r.name for r in world.rooms} - {left_out})
     plan = Plan("mapping", route, None, 600.0, spots)
     robot = SimulatedRobot(Renderer(world, told.camera), told, config, plan, 1)
-    assert all(isinstance(item, ImuBatch | DriveSample | ImageFrame) for item in robot.sent(frame_rate_hz=0.001))  # the whole drive
+    assert all(
+        isinstance(item, ImuBatch | DriveSample | ImageFrame) for item in robot.sent(frame_rate_hz=0.001)
+    )  # the whole drive
     T = robot.truth.T_world_body
     turned = np.abs(np.diff(np.unwrap(np.arctan2(T[:, 1, 0], T[:, 0, 0]))))
     for spot in spots:

@@ -18,12 +18,13 @@ from station.model.navigation import Keyframes, Landmarks, join_maps
 from station.motion.head import SIGMA_PLAY_RAD
 from station.slam.mapping.assemble import Reconstructed
 from station.slam.mapping.camera_fit import CameraFit
-from station.slam.mapping.inertial_mapping import SeenBy, lay_on_imu
+from station.slam.mapping.inertial_mapping import SeenBy, among, lay_on_imu, moved_to
 from station.slam.mapping.inertial_terms import HeadTerms, InertialTerms, WheelTerms
 from station.slam.mapping.odometry import SLIP, SLIP_PER_RADIAN_M, Drift, RelativeMotions
 from station.slam.mapping.odometry_mapping import (
     DEAD_RECKONED_SCALES,
     Adjuster,
+    OdometryMap,
     Scales,
     by_motions,
     map_with_motions,
@@ -32,12 +33,13 @@ from station.slam.mapping.odometry_mapping import (
 from station.slam.mapping.rolling_shutter import RowMotion, turned_back
 from station.slam.ukf.filter.constraints import WheelsKnown
 from station.slam.ukf.map.keyframes import Keyframe
-from station.slam.ukf.map.pose_log import PoseLog
-from station.slam.ukf.map.views import MapViews, View
+from station.slam.ukf.map.pose_log import PoseLog, follow_poses
+from station.slam.ukf.map.views import MapViews, View, joined
 from station.vision.camera_model import CameraModel
 from station.vision.klt import MIN_FOLLOWED
 
 MIN_VIEWS = 3
+LEAST_SPACING_NS = 190_000_000  # of views between which a turned head's map is laid on the IMU: ViewConfig's, nearly
 SMOOTHED_SCALES = Scales(first=(), loop=(10.0,))  # poses that least squares has made need no way in
 # SIFT cannot tell the fields of a chessboard apart: tracks give 4 to 6 times as many landmarks there. Before plain
 # walls they give up to twice as many, and those of views are recognised again (docs/studies/ukf-map.md).
@@ -135,7 +137,17 @@ def map_views(
             v_world = np.array([v.keyframe.v_world for v in items])
             # One camera has made all pieces; and a head's angles would take the mounting's place.
             is_fixed = bool(parts) or terms.has_head
-            made, camera = lay_on_imu(made, motions.T_world_body, v_world, terms, camera, None if is_fixed else seen_by)
+            at = spaced(items)
+            if len(at) == len(items):
+                made, camera = lay_on_imu(
+                    made, motions.T_world_body, v_world, terms, camera, None if is_fixed else seen_by
+                )
+            elif (few := inertial_terms(_only(items, at), noise, gravity, wheels, servo_errors)) is not None:
+                laid, camera = lay_on_imu(among(made, at), motions.T_world_body[at], v_world[at], few, camera, None)
+                t_ns = np.array([v.keyframe.image.t_robot_ns for v in items])
+                T_made = _poses(made)
+                T_laid = follow_poses(T_made, t_ns, T_made[at], _poses(laid), t_ns[at])
+                made = moved_to(made, T_laid, camera.camera)
         part = read_odometry_map(made, [v.keyframe.image for v in items], features, camera.camera, views.mapping)
         if terms is None and not is_smoothed:
             part = level(part, motions.T_world_body, camera.camera)
@@ -159,6 +171,37 @@ def map_views(
             poses.follow([items[k].frame_index for k in at], T_filter[at], T_new[at], segment)
     piece_of = {v.segment: items[0].segment for _, items in in_order for v in items}
     return ViewMap(keyframes, landmarks, camera, loops, float(np.mean(errors)), shows_little, piece_of)
+
+
+def spaced(items: list[View]) -> list[int]:
+    """The views that the inertial readings are asked between: all, but of a head that turned none too near in time.
+
+    Where it turns with its body views are a tenth of a second apart. By how pictures err in that time a map is
+    accelerated more than the IMU felt, and grows too small (docs/studies/current-place.md, "A head that turns").
+    """
+    if all(v.keyframe.head is None for v in items):
+        return list(range(len(items)))
+    at = [0]
+    for k, view in enumerate(items):
+        if view.keyframe.image.t_robot_ns - items[at[-1]].keyframe.image.t_robot_ns >= LEAST_SPACING_NS:
+            at.append(k)
+    return at
+
+
+def _only(items: list[View], at: list[int]) -> list[View]:
+    """Some of the views, linked over those between them."""
+    out = [items[at[0]]]
+    for before, k in itertools.pairwise(at):
+        link = items[before + 1].keyframe.link
+        for between in items[before + 2 : k + 1]:
+            link = joined(link, between.keyframe.link)
+        out.append(replace(items[k], keyframe=replace(items[k].keyframe, link=link)))
+    return out
+
+
+def _poses(made: OdometryMap) -> FloatArray:
+    """(N, 4, 4)"""
+    return np.array([se3(R, p) for R, p in zip(made.state.R_world_body, made.state.p_world_body, strict=True)])
 
 
 def _are_placed(keyframes: Keyframes, landmarks: Landmarks) -> bool:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, rotation_angle
 from station.motion.preintegration import Preintegration, chain
 from station.slam.mapping.config import MappingConfig
 from station.slam.mapping.tracks import Pairs
@@ -29,6 +29,7 @@ class ViewConfig:
     min_common: float = 0.6  # or fewer than that share of the last view's features are left
     max_interval_s: float = 2.0
     min_interval_s: float = 0.2  # a machine that is too slow must not make a view of each picture it still gets to
+    min_interval_turned_s: float = 0.1  # of a head that has turned as far by then: with its body it is twice as fast
     num_previous: int = 4  # views before, that each one is matched with
     capacity: int = 1000  # 0.13 MB each; beyond, every second view goes and the spacing grows by half
 
@@ -152,7 +153,7 @@ class MapViews:
         last, config = self._newest, self._config
         since_s = (keyframe.image.t_robot_ns - last.image.t_robot_ns) * 1e-9
         if since_s < config.min_interval_s:
-            return False
+            return self._has_turned_away(last, keyframe, since_s)
         _, i, j = np.intersect1d(last.tracked.ids, keyframe.tracked.ids, assume_unique=True, return_indices=True)
         if len(i) == 0 or len(i) < config.min_common / self._spacing * len(last.tracked.ids):
             return True
@@ -160,6 +161,13 @@ class MapViews:
         waited = since_s > config.max_interval_s * self._spacing
         enough = self._spacing * config.min_flow * self._lens.camera.width
         return flow > enough or (waited and flow > 0.2 * enough)
+
+    def _has_turned_away(self, last: Keyframe, keyframe: Keyframe, since_s: float) -> bool:
+        """Whether a head that turns shows something else so soon: of views farther apart few landmarks are in three."""
+        if keyframe.T_body_head is None or since_s < self._config.min_interval_turned_s:
+            return False
+        R = last.T_world_head[:3, :3].T @ keyframe.T_world_head[:3, :3]
+        return bool(rotation_angle(R) > self.least_turn_rad)
 
     def _thin(self) -> None:
         """Every second view stays, with the matches among those that stay."""
