@@ -1,7 +1,8 @@
 """The current place on maps that SLAM made, over several kinds of worlds; every "known" counts.
 
     python -m benchmarks.bench_current_place [--worlds home:600-624 plain:600-624 real] [--wrong-focal 2]
-        [--without-turns] [--leave-kind-out] [--cache DIR] [--stored] [--jobs N] [--out FILE.json] [--figure FILE.png] [--results FILE]
+        [--without-turns] [--leave-kind-out] [--cache DIR] [--stored] [--jobs N] [--out FILE.json] [--figure FILE.png]
+        [--results FILE]
 
 Worlds that the cache does not hold are made first (`make_drives`: what a robot sent on drives with a hijack, one room
 left out of the map; the recordings of `real` must lie beside the repository). The tracker then runs over each drive as

@@ -1,6 +1,7 @@
 """Make recorded drives with truth for `bench_current_place` and for fitting the belief; what is there is left alone.
 
-    python -m benchmarks.make_drives --kinds small,plain --seeds 900-905 [--wrong-focal 2] [--without-turns] [--jobs N] --cache DIR
+    python -m benchmarks.make_drives --kinds small,plain --seeds 900-905 [--wrong-focal 2] [--without-turns]
+        [--jobs N] --cache DIR
 
 Each world is mapped by the `ukf` backend from a simulated mapping drive, one room left out, and driven through again
 three times, each with a hijack. Whoever maps goes through each room and turns once round in it, as the page asks
