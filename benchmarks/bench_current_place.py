@@ -135,9 +135,15 @@ def recall_of(world: JudgedWorld) -> float:
 
 
 def figures_of(group: str, worlds: Sequence[JudgedWorld]) -> list[Figure]:
-    """What is asked of a group of worlds."""
+    """What is asked of a group of worlds; nothing where whoever mapped did not look around, for comparison only."""
     summary = summarise([drive for world in worlds for drive in world.drives])
     kind = worlds[0].name if worlds[0].kind == real.KIND else worlds[0].kind
+    if not worlds[0].is_looked_around:
+        known, recall = summary.precision, summary.recall
+        return [
+            share(f"{group}: right of all that is known", known.count, known.of),
+            share(f"{group}: known and right in mapped rooms", recall.count, recall.of),
+        ]
     is_badly_wrong = worlds[0].wrong_percent > BADLY_WRONG
     least_recall = None if is_badly_wrong else RECALL.get(kind)
 

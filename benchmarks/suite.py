@@ -106,6 +106,10 @@ SUITE = (
         "--worlds home:600-624 plain:600-624 lookalike:600-604 --wrong-focal 2", "--worlds small:0",
     ),
     Benchmark(
+        "current_place_passing", CURRENT, "bench_current_place",
+        "--worlds plain:600-624 --wrong-focal 2 --without-turns", None,
+    ),
+    Benchmark(
         "current_place_3", CURRENT, "bench_current_place",
         "--worlds home:600-604 plain:600-604 --wrong-focal 3", None,
     ),
