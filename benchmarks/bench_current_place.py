@@ -139,10 +139,9 @@ def figures_of(group: str, worlds: Sequence[JudgedWorld]) -> list[Figure]:
     summary = summarise([drive for world in worlds for drive in world.drives])
     kind = worlds[0].name if worlds[0].kind == real.KIND else worlds[0].kind
     if not worlds[0].is_looked_around:
-        known, recall = summary.precision, summary.recall
         return [
-            share(f"{group}: right of all that is known", known.count, known.of),
-            share(f"{group}: known and right in mapped rooms", recall.count, recall.of),
+            share(f"{group}: right of all that is known", summary.precision.count, summary.precision.of),
+            share(f"{group}: known and right in mapped rooms", summary.recall.count, summary.recall.of),
         ]
     is_badly_wrong = worlds[0].wrong_percent > BADLY_WRONG
     least_recall = None if is_badly_wrong else RECALL.get(kind)
