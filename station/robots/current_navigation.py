@@ -80,7 +80,7 @@ class CurrentNavigation(LinkListeners):
         self._on_fit = on_fit
         self._running: RunningNavigation | None = None
         self._finishing: dict[str, RunningNavigation] = {}  # their recording has ended and their SLAM has not
-        self._tasks: set[asyncio.Task[None]] = set()  # that finish navigations, until all of it is kept
+        self._tasks: dict[str, asyncio.Task[None]] = {}  # that finish navigations, until all of it is kept
         self._beginning: _Beginning | None = None
         self._is_closed = False
         self._times_viewed = 0
@@ -194,8 +194,8 @@ class CurrentNavigation(LinkListeners):
         running.record = navigation = replace(running.counted(), state="finishing", message=message)
         # First what closes recorder and SLAM: nothing that fails here may leave them open.
         task = asyncio.create_task(self._finish(running, navigation), name=f"finish {navigation.id}")
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        self._tasks[navigation.id] = task
+        task.add_done_callback(lambda _: self._tasks.pop(navigation.id, None))
         self._finishing[navigation.id] = running
         if why:
             self._events.notify("navigation", f"{navigation.name}: {why}", "warning")
@@ -231,10 +231,10 @@ class CurrentNavigation(LinkListeners):
             message = _joined(f"the station was stopped{AGAIN}", running.recorder_error)
             await self._navigations.store(replace(running.counted(), state="failed", message=message))
         await asyncio.sleep(0)  # a task that is cancelled before its first step closes nothing
-        tasks = tuple(self._tasks)
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        tasks = dict(self._tasks)
+        for navigation_id in self._finishing:  # what is beyond that is kept: cancelled, it would say "finishing"
+            tasks[navigation_id].cancel()
+        await asyncio.gather(*tasks.values(), return_exceptions=True)
 
     def on_connected(self, hello: Hello) -> None:
         running, beginning = self._running, self._beginning
@@ -328,11 +328,11 @@ class CurrentNavigation(LinkListeners):
             level: Level = "warning" if running.is_cancelled else "error"
             self._events.notify("navigation", f"{navigation.name}: {navigation.message}", level)
         finally:
+            self._finishing.pop(navigation.id, None)
             if navigation.state == "finishing":
                 text = f"the station was stopped before this navigation was finished{AGAIN}"
                 navigation = replace(navigation, state="failed", message=text)
             await running.slam.close(at_once=navigation.state == "failed")
-            self._finishing.pop(navigation.id, None)
             kept = self._navigations.store(navigation)
             self._events.changed("pose")
             self._events.changed("landmarks")

@@ -295,6 +295,30 @@ async def test_a_station_that_ends_at_once_after_a_drive_closes_it(room: Room) -
     assert room.library.get(navigation.id).state == "failed"
 
 
+async def test_a_station_that_ends_while_a_finished_navigation_is_put_away_keeps_what_came_of_it(
+    room: Room, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    may_close, is_closing = asyncio.Event(), asyncio.Event()
+    close = FakeWorker.close
+
+    async def close_slowly(worker: FakeWorker) -> None:
+        is_closing.set()
+        await may_close.wait()
+        await close(worker)
+
+    monkeypatch.setattr(FakeWorker, "close", close_slowly)
+    navigation = await room.current.start(hello(), "")
+    await room.current.stop(navigation.id)
+    await asyncio.wait_for(is_closing.wait(), 60)
+    ending = asyncio.create_task(room.current.close())
+    await asyncio.sleep(0.05)
+    may_close.set()
+    await ending
+    over = room.library.get(navigation.id)
+    assert over.state == "failed" and "drive longer" in over.message
+    assert room.library.written[-1].startswith("failed") and FakeWorker.made[0].is_closed
+
+
 async def test_a_slow_disk_holds_up_nothing_and_gets_everything_in_order(room: Room) -> None:
     navigation = await room.current.start(hello(), "slow")
     room.library.may_write.clear()
