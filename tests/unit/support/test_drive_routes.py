@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 import pytest
 
-from robot.simulation.config import SimulationConfig
-from robot.simulation.recording import simulated_calibration
-from robot.simulation.renderer import Renderer
 from robot.simulation.worlds import make_world
 from shared.geometry import FloatArray
-from station.model.frames import DriveSample, ImageFrame, ImuBatch
-from tests.support.drives.robot import AT_M, SimulatedRobot
+from tests.support.drives.misfit import Misfit
+from tests.support.drives.robot import AT_M
 from tests.support.drives.routes import (
     PLANS,
     THROUGH,
@@ -23,6 +22,7 @@ from tests.support.drives.routes import (
     plan_drive,
     room_left_out,
 )
+from tests.support.drives.simulated import DriveOptions, SimulatedFlat
 
 FLATS = [("small", 3), ("home", 3), ("lookalike", 2)]  # of small 3 the room left out is the largest part
 
@@ -42,19 +42,13 @@ def test_the_mapping_route_goes_through_every_room_but_one(kind: str, seed: int)
 
 
 def test_whoever_maps_turns_once_round_in_every_room_but_one() -> None:
-    config = SimulationConfig()
-    told = simulated_calibration(config)
-    assert told.camera is not None
-    world = make_world("small", 3)
-    left_out = room_left_out(world)
-    route = mapping_route(world, left_out, 3)
-    spots = middles_of_rooms(world, route)
-    assert sorted(world.room_at(*p) for p in spots) == sorted({r.name for r in world.rooms} - {left_out})
-    plan = Plan("mapping", route, None, 600.0, spots)
-    robot = SimulatedRobot(Renderer(world, told.camera), told, config, plan, 1)
-    assert all(
-        isinstance(item, ImuBatch | DriveSample | ImageFrame) for item in robot.sent(frame_rate_hz=0.001)
-    )  # the whole drive
+    flat = SimulatedFlat("small", 3, Misfit(), DriveOptions())
+    left_out = room_left_out(flat.world)
+    route = mapping_route(flat.world, left_out, 3)
+    spots = middles_of_rooms(flat.world, route)
+    assert sorted(flat.world.room_at(*p) for p in spots) == sorted({r.name for r in flat.world.rooms} - {left_out})
+    robot = flat.robot(Plan("mapping", route, None, 600.0, spots), 1)
+    deque(robot.sent(frame_rate_hz=0.001), maxlen=0)  # the whole drive
     T = robot.truth.T_world_body
     turned = np.abs(np.diff(np.unwrap(np.arctan2(T[:, 1, 0], T[:, 0, 0]))))
     for spot in spots:

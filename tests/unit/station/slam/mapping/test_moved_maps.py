@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shared.calibration import REFERENCE_ROBOT
+from shared.calibration import REFERENCE_CAMERA
 from shared.geometry import FloatArray, inverse, se3, transform
 from station.slam.mapping.inertial_mapping import among, moved_to
 from station.slam.mapping.odometry import MOTION_START
@@ -13,13 +13,11 @@ from station.slam.mapping.odometry_bundle import BundleState
 from station.slam.mapping.odometry_mapping import OdometryMap
 from station.slam.mapping.tracks import Tracks
 
-assert REFERENCE_ROBOT.camera is not None
-CAMERA = REFERENCE_ROBOT.camera
 NUM_POINTS = 30
 
 
 def seen(T_world_body: FloatArray, points: FloatArray) -> FloatArray:
-    p = transform(inverse(T_world_body @ CAMERA.T_body_cam_matrix), points)
+    p = transform(inverse(T_world_body @ REFERENCE_CAMERA.T_body_cam_matrix), points)
     return p[:, :2] / p[:, 2:]
 
 
@@ -49,8 +47,8 @@ def test_what_moved_keyframes_see_moves_with_them(made: OdometryMap) -> None:
     larger = se3_of(made)
     larger[:, :3, 3] *= 1.1
     # The camera sits before the body's origin, so that its own arm does not grow.
-    arm = CAMERA.T_body_cam_matrix[:3, 3]
-    moved = moved_to(made, larger, CAMERA)
+    arm = REFERENCE_CAMERA.T_body_cam_matrix[:3, 3]
+    moved = moved_to(made, larger, REFERENCE_CAMERA)
     np.testing.assert_allclose(moved.state.points, 1.1 * (made.state.points - arm) + arm, atol=1e-6)
     assert moved.num_loops == made.num_loops
 
