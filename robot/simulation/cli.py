@@ -143,11 +143,12 @@ def drive(
     seed: Annotated[int, typer.Option(min=0, help="another route of the same kind")] = 0,
     driver: Annotated[str, typer.Option(help="name under which to hold the driver lease")] = "scripted",
     max_duration: Annotated[float, typer.Option(help="give up after this many seconds")] = 600.0,
+    turn_round: Annotated[bool, typer.Option(help="turn once round in each room, as a map wants it")] = False,
 ) -> None:
     """Drive a running simulated robot along a route through the station's drive commands."""
     from robot.simulation.remote_driver import drive_route
 
-    report = drive_route(station, sim_port, route, seed, driver, max_duration)
+    report = drive_route(station, sim_port, route, seed, driver, max_duration, turn_round)
     print(f"{route}: {report.length_m:.1f} m in {report.duration_s:.1f} s, {report.refused} commands refused")
 
 

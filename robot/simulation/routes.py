@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import cast
 
@@ -30,6 +30,7 @@ class Route:
     kind: str
     points: FloatArray  # (N, 2) m, world
     start_yaw_rad: float
+    turns_round_at: tuple[tuple[float, float], ...] = ()  # x m, y m: points at which the driver turns once round
 
     @property
     def length_m(self) -> float:
@@ -169,6 +170,16 @@ def plan_route(
             stops += _ring(space, world.rooms[room], stops[-1], -turn, 0.8 * scale, -shift)[1:]
     stops.append(stops[0])
     return _finish(space, kind, stops)
+
+
+def looking_around(route: Route, world: World) -> Route:
+    """The same with one turn in each room it leads through, where it comes nearest to the room's middle."""
+    nearest: dict[str, tuple[float, float]] = {}
+    for room in world.rooms:
+        inside = [(float(x), float(y)) for x, y in route.points if world.room_at(x, y) == room.name]
+        if inside:
+            nearest[room.name] = min(inside, key=lambda p: math.dist(p, room.centre))
+    return replace(route, turns_round_at=tuple(nearest.values()))
 
 
 def _room_order(

@@ -196,7 +196,7 @@ def write_settings(folder: Path) -> Path:
 def record_drive(demo: Demo, name: str, route: str) -> str:
     """Record one navigation while the scripted driver follows a route; its id."""
     navigation: str = demo.station.call("POST", "/navigations", {"name": name})["id"]
-    demo.say(f"{name}: driving the {route} route (about a minute)")
+    demo.say(f"{name}: driving the {route} route (about two minutes)")
     start_driver(demo, route)
     demo.programs.wait("driver", DRIVE_TIMEOUT_S)
     demo.station.call("POST", f"/navigations/{navigation}/stop")
@@ -211,6 +211,7 @@ def start_driver(demo: Demo, route: str) -> None:
         "robot.simulation.cli",
         *("drive", "--station", demo.station.address, "--sim-port", str(demo.sim_port)),
         *("--route", route, "--seed", str(demo.options.seed)),
+        *(("--turn-round",) if route == "mapping" else ()),
     )
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from robot.simulation.body import Body, MotionState
 from robot.simulation.config import Faults, SimulationConfig
-from robot.simulation.driver import RouteDriver
+from robot.simulation.driver import TURN_RAD_S, RouteDriver
 from robot.simulation.imaging import SimulatedCamera
 from robot.simulation.renderer import Renderer
 from robot.simulation.sensors import ImuModel
@@ -26,8 +25,6 @@ REST_S = 1.5  # stands still before and after the drive
 IMU_BATCH = 10
 COMMAND_EVERY_TICKS = 15
 TRUTH_EVERY_TICKS = 9  # 25 Hz
-AT_M = 0.08  # a spot on the route is passed as closely as this
-TURN_RAD_S = 1.5  # commanded while the driver looks around; wheels slip to a third of it
 Sent = ImuBatch | DriveSample | ImageFrame
 
 
@@ -103,8 +100,6 @@ class _Driver:
         self._put_down_s = np.inf
         self._is_grabbed = False
         self._done_s = np.inf
-        self._spots_to_turn_at = list(plan.turns_round_at)
-        self._left_to_turn_rad, self._told_at_s = 0.0, 0.0
 
     def has_ended(self, t_s: float) -> bool:
         if self._driver.is_done and (self._plan.hijack is None or self._is_grabbed):
@@ -137,22 +132,7 @@ class _Driver:
                 return 0.0, TURN_RAD_S
             assert self._after is not None
             driver = self._after
-        elif self._turns_round(state):
-            return 0.0, TURN_RAD_S
         else:
             driver = self._before
         told = driver.command(*self._body.pose, float(state.omega_body[2]))
         return told.linear_m_s, told.angular_rad_s
-
-    def _turns_round(self, state: MotionState) -> bool:
-        """Whether the driver looks around, once at each spot of the plan."""
-        self._left_to_turn_rad -= abs(float(state.omega_body[2])) * (state.t_s - self._told_at_s)
-        self._told_at_s = state.t_s
-        if self._left_to_turn_rad > 0:
-            return True
-        here = next((i for i, p in enumerate(self._spots_to_turn_at) if math.dist(p, self._body.pose[:2]) < AT_M), None)
-        if here is None:
-            return False
-        del self._spots_to_turn_at[here]
-        self._left_to_turn_rad = 2 * np.pi
-        return True

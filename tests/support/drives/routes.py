@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,7 +36,6 @@ class Plan:
     route: Route
     hijack: Hijack | None
     seconds: float
-    turns_round_at: tuple[tuple[float, float], ...] = ()  # x m, y m: spots of the route where the driver looks around
 
 
 def room_left_out(world: World) -> str:
@@ -77,16 +75,6 @@ def mapping_route(world: World, left_out: str, seed: int) -> Route:
     """Through every room but one, and back."""
     start = _spot(world, _mapped(world, left_out), seed)
     return plan_route(without_rooms(world, {left_out}), "mapping", seed, start=start[:2])
-
-
-def middles_of_rooms(world: World, route: Route) -> tuple[tuple[float, float], ...]:
-    """Of every room that a route leads through, the route's point (x m, y m) nearest to the room's middle."""
-    nearest: dict[str, tuple[float, float]] = {}
-    for room in world.rooms:
-        inside = [(float(x), float(y)) for x, y in route.points if world.room_at(x, y) == room.name]
-        if inside:
-            nearest[room.name] = min(inside, key=lambda p: math.dist(p, room.centre))
-    return tuple(nearest.values())
 
 
 def _mapped(world: World, left_out: str) -> list[str]:

@@ -14,6 +14,7 @@ from robot.simulation.config import SimulationConfig
 from robot.simulation.construction import built_camera
 from robot.simulation.recording import simulated_calibration
 from robot.simulation.renderer import Renderer
+from robot.simulation.routes import looking_around
 from robot.simulation.world import World
 from robot.simulation.worlds import make_world
 from shared.calibration import Calibration
@@ -46,7 +47,6 @@ from tests.support.drives.routes import (
     Plan,
     beyond_door_m,
     mapping_route,
-    middles_of_rooms,
     plan_drive,
     room_left_out,
 )
@@ -118,8 +118,9 @@ class SimulatedFlat:
         """Drive through all rooms but one, and map them with the `ukf` backend. Raises EstimationError if it cannot."""
         seed, name = self.world.seed, f"{self.world.name}-{self.world.seed}"
         route = mapping_route(self.world, left_out, seed)
-        turns = middles_of_rooms(self.world, route) if self._options.looks_around else ()
-        robot = self.robot(Plan("mapping", route, None, self._options.max_seconds, turns), seed)
+        if self._options.looks_around:
+            route = looking_around(route, self.world)
+        robot = self.robot(Plan("mapping", route, None, self._options.max_seconds), seed)
         slam = RunningSlam(self.told, seed)
         for item in robot.sent(self._options.mapping_rate_hz):
             slam.add(item)

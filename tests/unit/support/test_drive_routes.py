@@ -7,10 +7,11 @@ from collections import deque
 import numpy as np
 import pytest
 
+from robot.simulation.driver import AT_M
+from robot.simulation.routes import looking_around
 from robot.simulation.worlds import make_world
 from shared.geometry import FloatArray
 from tests.support.drives.misfit import Misfit
-from tests.support.drives.robot import AT_M
 from tests.support.drives.routes import (
     PLANS,
     THROUGH,
@@ -18,7 +19,6 @@ from tests.support.drives.routes import (
     Plan,
     beyond_door_m,
     mapping_route,
-    middles_of_rooms,
     plan_drive,
     room_left_out,
 )
@@ -44,10 +44,10 @@ def test_the_mapping_route_goes_through_every_room_but_one(kind: str, seed: int)
 def test_whoever_maps_turns_once_round_in_every_room_but_one() -> None:
     flat = SimulatedFlat("small", 3, Misfit(), DriveOptions())
     left_out = room_left_out(flat.world)
-    route = mapping_route(flat.world, left_out, 3)
-    spots = middles_of_rooms(flat.world, route)
+    route = looking_around(mapping_route(flat.world, left_out, 3), flat.world)
+    spots = route.turns_round_at
     assert sorted(flat.world.room_at(*p) for p in spots) == sorted({r.name for r in flat.world.rooms} - {left_out})
-    robot = flat.robot(Plan("mapping", route, None, 600.0, spots), 1)
+    robot = flat.robot(Plan("mapping", route, None, 600.0), 1)
     deque(robot.sent(frame_rate_hz=0.001), maxlen=0)  # the whole drive
     T = robot.truth.T_world_body
     turned = np.abs(np.diff(np.unwrap(np.arctan2(T[:, 1, 0], T[:, 0, 0]))))
