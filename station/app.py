@@ -196,6 +196,10 @@ class Station:
                 await worker.call(LibraryProgram.index_map, folders, address)
             if activate:
                 await self.use_maps(built.map_id)
+            with contextlib.suppress(RobotSystemError):  # the map is there, and may be in use
+                plates = await worker.call(LibraryProgram.read_plates, address, built.map_id)
+                if plates:
+                    await self.maps.suggest(built.map_id, "door plate", plates)
             return {"map": built.map_id, "places": built.places}
 
         return self.jobs.start("build map", title, work)

@@ -232,8 +232,7 @@ def build_map(demo: Demo, navigation: str) -> list[dict[str, Any]]:
     """Cluster the landmarks into places and use the map."""
     order = {"navigations": [navigation], "name": "Demo flat", "places": demo.options.places}
     job = demo.station.call("POST", "/maps", order)["id"]
-    wait_until_over(demo, "the map", f"/jobs/{job}", MAP_TIMEOUT_S)
-    wait_for(demo.programs, "the map to be active", lambda: bool(demo.station.get("/places")), MAP_TIMEOUT_S)
+    wait_until_in_use(demo, job)
     places: list[dict[str, Any]] = demo.station.get("/places")
     demo.say(f"map with {len(places)} places:")
     width = max(len(place["name"]) for place in places)
@@ -243,6 +242,18 @@ def build_map(demo: Demo, navigation: str) -> list[dict[str, Any]]:
     name_rooms(demo)
     named: list[dict[str, Any]] = demo.station.get("/places")  # called after their rooms' names
     return named
+
+
+def wait_until_in_use(demo: Demo, job: str) -> None:
+    """Wait until the map that a job builds is used; the job goes on, reading door plates. Raises as its words say."""
+
+    def is_used() -> bool:
+        answer = demo.station.get(f"/jobs/{job}")
+        if answer["state"] in ("failed", "cancelled"):
+            raise RobotSystemError(f"the map failed: {answer['message']}")
+        return any(each["active"] for each in demo.station.get("/maps"))
+
+    wait_for(demo.programs, "the map", is_used, MAP_TIMEOUT_S)
 
 
 def name_rooms(demo: Demo) -> None:

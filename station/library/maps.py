@@ -21,12 +21,13 @@ from station.library.place_changes import PlacesChange, changes_of, why_not_that
 from station.maps.editing import tidy_name, with_place_renamed
 from station.maps.repair.purging import collect_garbage, purge, tidy_up
 from station.maps.store import MapStore
-from station.model.floor_plan import Room
+from station.model.floor_plan import NameSuggestion, Room, SuggestionSource
 from station.model.map_store import MapSummary, StoreAddress
 from station.model.place_map import Place, PlaceMap
 from station.places.localisation.index_path import forget_index
 from station.places.making.changes import with_place_hidden, with_places_merged
 from station.places.rooms.edits import with_door_erased, with_room_renamed, with_room_split, with_rooms_merged
+from station.places.rooms.planning import with_suggestions_of
 
 logger = logging.getLogger(__name__)
 MAX_WHY = 200
@@ -157,6 +158,16 @@ class Maps:
                 self._replace(place_map)
         self._events.changed("map")
         return next(summary for summary in await self.list() if summary.id == map_id)
+
+    async def suggest(self, map_id: str, source: SuggestionSource, found: Sequence[NameSuggestion]) -> None:
+        """Names for a map's rooms, in the place of all by the same source. Raises Unknown, DataError."""
+        suggested = partial(with_suggestions_of, source=source, found=found)
+        async with self._changing:
+            await self._require(map_id)
+            why = f"names by {source} are suggested"
+            place_map = await asyncio.to_thread(self._store.edit, map_id, suggested, why)
+            if self.active.find(map_id) is not None:
+                self._replace(place_map)
 
     async def rename_place(self, place_id: str, name: str) -> Place:
         """Raises Conflict, Unknown, or DataError for a name in use."""

@@ -27,7 +27,7 @@ def changes_of(history: Sequence[MapRecord]) -> tuple[PlacesChange, ...]:
         before = by_number.get(record.previous or 0)
         if before is None:
             break  # it cannot be read any more, so nothing leads back to it
-        if not same_places(before, record):  # else the map was renamed
+        if not same_places(before, record):  # else the map was renamed, or names were suggested
             changes.append(PlacesChange(record.number, before.number, record.why, record.created_ms / 1e3))
         record = by_number.get(before.content)
     return tuple(changes)

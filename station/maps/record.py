@@ -112,8 +112,12 @@ def read_map(record: MapRecord, blobs: Blobs) -> PlaceMap:
 
 
 def same_places(a: MapRecord, b: MapRecord) -> bool:
-    """Whether two versions of a map, its rooms included, differ in nothing but its name."""
-    return encode_content(replace(a, name=b.name)) == encode_content(b)
+    """Whether two versions of a map, its rooms included, differ in nothing but its name and what is suggested."""
+    return encode_content(_unnamed(a)) == encode_content(_unnamed(b))
+
+
+def _unnamed(record: MapRecord) -> MapRecord:
+    return replace(record, name="", plan=None if record.plan is None else replace(record.plan, suggestions=()))
 
 
 def same_content(a: MapRecord, b: MapRecord) -> bool:

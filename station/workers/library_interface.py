@@ -9,6 +9,7 @@ from typing import Any
 
 from shared.calibration import CameraCalibration
 from station.calibration.target import Target, TargetKind
+from station.model.floor_plan import NameSuggestion
 from station.model.map_store import StoreAddress
 from station.model.navigation import NavigationReport
 from station.model.place_map import PlaceGrain
@@ -52,6 +53,10 @@ class LibraryProgram(Program, ABC):
     @abstractmethod
     def index_map(self, folders: list[Path], address: StoreAddress) -> None:
         """The localisation index of the map that this worker built from these folders, where it costs little."""
+
+    @abstractmethod
+    def read_plates(self, address: StoreAddress, map_id: str) -> tuple[NameSuggestion, ...]:
+        """Names for the rooms of a map by printed words in its pictures: half a minute, nobody has to wait for it."""
 
     @abstractmethod
     def measure_places(self, address: StoreAddress, map_id: str) -> dict[str, float]:

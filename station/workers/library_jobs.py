@@ -35,7 +35,8 @@ from station.places.localisation.index_file import index_of
 from station.places.making.build import build_map
 from station.places.making.config import PlacesConfig, PlacesMode
 from station.places.making.repeatability import repeatability
-from station.places.rooms.planning import planned, with_suggestions
+from station.places.naming.suggest import plate_names, sticker_names
+from station.places.rooms.planning import planned
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
 from station.workers.calibration_interface import RECORDING, RESIDUALS, RESULT, PaperSize
@@ -72,10 +73,13 @@ class LibraryJobs(LibraryProgram):
         place_map = self._map_of(navigations, config, name, executor).with_grain(places)
         self._emit(Progress(0.7, "finding rooms and doors"))
         first = navigations[0].id
-        draft = _taking_over(place_map, store.newest_of_navigation(first))
+        earlier = store.newest_of_navigation(first)
+        draft = _taking_over(place_map, earlier)
         self._emit(Progress(0.75, "looking for stickers that name rooms"))
-        found = with_suggestions(draft, lambda text: self._emit(Progress(0.75, text))).suggestions
+        found = () if draft.plan is None else sticker_names(draft, draft.plan)
         found += self._names_elsewhere(store, draft, config)
+        if earlier is not None and earlier.id == place_map.id:  # of the same pictures, which are read again later
+            found += tuple(s for s in earlier.suggestions if s.source == "door plate")
         place_map = replace(place_map, suggestions=found)
         self._emit(Progress(0.8, f"saving {_count(len(draft.places), 'place')}"))
         # That took long: what people did to places and rooms meanwhile is taken over, too.
@@ -120,6 +124,12 @@ class LibraryJobs(LibraryProgram):
             self._emit(Progress(0.85, "indexing what its pictures look like"))
             waiting = Progress(0.85, "another map is indexed; this one is next")
             index_of(address.root, self._built, lambda: None, lambda: self._emit(waiting), pictures)
+
+    def read_plates(self, address: StoreAddress, map_id: str) -> tuple[NameSuggestion, ...]:
+        place_map = MapStore(address).load(map_id)
+        if place_map.plan is None:
+            return ()
+        return plate_names(place_map, place_map.plan, lambda text: self._emit(Progress(0.95, text)))
 
     def measure_places(self, address: StoreAddress, map_id: str) -> dict[str, float]:
         self._emit(Progress(0.1, "reading the map"))

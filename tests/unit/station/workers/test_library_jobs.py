@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,11 +13,12 @@ from station.library.place_changes import changes_of
 from station.maps.editing import with_place_renamed
 from station.maps.repair.check import verify
 from station.maps.store import MapStore
-from station.model.floor_plan import NameSuggestion
+from station.model.floor_plan import FloorPlan, NameSuggestion
 from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
 from station.places.making.changes import with_places_merged
 from station.places.rooms.edits import require_plan, with_room_renamed
+from station.places.rooms.planning import with_suggestions_of
 from station.workers import library_jobs
 from station.workers.library_jobs import LibraryJobs
 from tests.support.coloured_rooms import GREY, coloured_rooms
@@ -58,11 +58,11 @@ def test_what_people_do_while_a_map_is_built_again_stays_and_can_be_undone(
     room, place = require_plan(first).rooms[0].id, first.places[0].id
     store.edit(map_id, partial(with_place_renamed, place_id=place, name="Sofa"), "the sofa is named")
 
-    def look_while_a_person_names_the_room(place_map: PlaceMap, say: Callable[[str], None]) -> PlaceMap:
+    def look_while_a_person_names_the_room(place_map: PlaceMap, plan: FloorPlan) -> tuple[NameSuggestion, ...]:
         store.edit(map_id, partial(with_room_renamed, room_id=room, name="Kitchen"), "the kitchen is named")
-        return place_map
+        return ()
 
-    monkeypatch.setattr(library_jobs, "with_suggestions", look_while_a_person_names_the_room)
+    monkeypatch.setattr(library_jobs, "sticker_names", look_while_a_person_names_the_room)
     assert build(tmp_path) == map_id
     built = store.load(map_id)
     assert room_names(built)[0] == "Kitchen" and built.plan_edits.names == {room: "Kitchen"}
@@ -85,10 +85,22 @@ def test_other_maps_are_asked_until_one_knows_a_room(tmp_path: Path, monkeypatch
         return (NameSuggestion(room, "Kitchen", "other map", 0.5, ""),) if len(asked) % 5 == 2 else ()
 
     monkeypatch.setattr(library_jobs, "names_in", names_in)
-    monkeypatch.setattr(library_jobs, "with_suggestions", lambda place_map, _: place_map)
+    monkeypatch.setattr(library_jobs, "sticker_names", lambda place_map, plan: ())
     made = store.load(build(tmp_path))
     assert len(asked) == 2 and [s.name for s in made.suggestions] == ["Kitchen"]
     assert store.load(build(tmp_path)).suggestions == () and len(asked) == 5
+
+
+@pytest.mark.computing
+def test_names_read_from_plates_stay_while_the_same_map_is_built_again(tmp_path: Path) -> None:
+    save_navigation(made_up_navigation(), tmp_path / "drive")
+    map_id = build(tmp_path)
+    store = MapStore(tmp_path / "maps")
+    read = NameSuggestion(require_plan(store.load(map_id)).rooms[0].id, "Pantry", "door plate", 0.7, "A plate.")
+    store.edit(map_id, partial(with_suggestions_of, source="door plate", found=[read]), "plates were read")
+    assert said_changes(store, map_id) == []  # nobody can take back what nobody did
+    assert build(tmp_path) == map_id
+    assert [s.name for s in store.load(map_id).suggestions] == ["Pantry"]
 
 
 @pytest.mark.computing

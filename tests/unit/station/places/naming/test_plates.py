@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from station.events import Events
+from station.library.maps import Maps
+from station.maps.store import MapStore
 from station.model.floor_plan import NameSuggestion
 from station.model.frames import ImageArray
+from station.model.map_store import StoreAddress
 from station.places.naming import suggest
 from station.places.naming.close_views import close_views
 from station.places.naming.plates import find_plates, plate_name, reads_like_a_plate
 from station.places.naming.room_words import default_words
 from station.places.naming.sightings import suggestions
-from station.places.naming.suggest import suggest_names
+from station.places.naming.suggest import plate_names, sticker_names, suggest_names
 from station.places.rooms.planning import with_plan, with_suggestions_of
 from station.vision.printed import PrintedLine, PrintReader
+from station.workers.library_jobs import LibraryJobs
 from tests.support.plans import WALL_X, two_rooms
 from tests.support.plates import map_of_walls, plate_picture
 from tests.support.stickers import sticker_picture
@@ -71,6 +77,27 @@ def test_a_name_printed_on_a_sticker_is_the_stickers(reader: PrintReader) -> Non
     both = map_of_walls([sticker_picture("Parlour", 1.5), plate_picture("Parlour")], [hangs] * 2, [1.5] * 2)
     (found,) = suggest_names(both, two_rooms())
     assert (found.source, found.room) == ("sticker", "room-l")
+    assert plate_names(both, two_rooms()) == ()
+    assert [s.name for s in sticker_names(both, two_rooms())] == ["Parlour"]
+
+
+@pytest.mark.computing
+async def test_plates_are_read_once_a_map_is_there_and_its_rooms_have_their_names_at_once(
+    reader: PrintReader, tmp_path: Path
+) -> None:
+    plan = two_rooms()
+    place_map = replace(map_of_walls([plate_picture("Pantry")], [(WALL_X - 1.5, BESIDE_DOOR_Y)], [1.5]), plan=plan)
+    address = StoreAddress(tmp_path)
+    MapStore(address).save(place_map)
+    said: list[str] = []
+    found = LibraryJobs(lambda progress: said.append(progress.message)).read_plates(address, place_map.id)
+    assert said == ["reading door plates, picture 1 of 1"]
+    maps = Maps(address, Events())
+    await maps.activate([place_map.id])
+    await maps.suggest(place_map.id, "door plate", found)
+    in_use = maps.active.require_first().place_map
+    assert [(s.room, s.name) for s in in_use.suggestions] == [("room-k", "Pantry")]
+    assert await maps.changes() == ()
 
 
 @pytest.mark.computing
