@@ -42,7 +42,7 @@ from station.demo.demo import (
     Timings,
     describe,
     map_hijack_and_ask,
-    record_drive,
+    record_mapping,
     start_programs,
     wait_for_slam,
 )
@@ -88,7 +88,7 @@ def say(text: str) -> None:
 
 def drive_uncalibrated(demo: Demo) -> dict[str, Any]:
     """What is said of the calibration after a mapping drive with another robot's; the navigation may well fail."""
-    navigation = record_drive(demo, "Before", "mapping")
+    navigation = record_mapping(demo, "Before")
     try:
         wait_for_slam(demo, "Before", navigation)
     except RobotSystemError as exc:

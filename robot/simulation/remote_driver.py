@@ -77,15 +77,9 @@ class DriveReport:
 
 
 def drive_route(
-    station: str,
-    sim_port: int,
-    kind: str,
-    seed: int,
-    driver_name: str = "scripted",
-    max_duration_s: float = 600.0,
-    looks_around: bool = False,
+    station: str, sim_port: int, kind: str, seed: int, driver_name: str = "scripted", max_duration_s: float = 600.0
 ) -> DriveReport:
-    """Drive a route from where the robot is, to its end; turn once round in each room where asked to look around.
+    """Drive a route from where the robot is, to its end.
 
     Raises:
         ConfigError: no simulator, unknown route.
@@ -94,7 +88,7 @@ def drive_route(
     control = SimulatorLink(sim_port)
     http_link = StationHttp(station, driver_name)
     try:
-        plan = control.ask(cmd="route", kind=kind, seed=seed, looking_around=looks_around)
+        plan = control.ask(cmd="route", kind=kind, seed=seed)
         turns = tuple((float(x), float(y)) for x, y in plan["turns_round_at"])
         route = Route(plan["kind"], np.array(plan["points"]), plan["start_yaw"], turns)
         return _follow(control, http_link, route, max_duration_s)

@@ -22,7 +22,6 @@ from robot.config import Section, convert
 from robot.devices.simulated.robot import SimulatedRobot
 from robot.simulation.calibration.board import TAGS, Board, board_ahead
 from robot.simulation.config import Faults
-from robot.simulation.routes import looking_around
 from shared.errors import ConfigError, DeviceUnavailable
 from shared.geometry import se3
 
@@ -137,8 +136,6 @@ class ControlDesk:
 
     def _route(self, question: dict[str, Any]) -> dict[str, Any]:
         route = self._robot.plan(str(question.get("kind", "mapping")), int(question.get("seed", 0)))
-        if question.get("looking_around"):
-            route = looking_around(route, self._robot.world)
         return {
             "kind": route.kind,
             "points": route.points.round(4).tolist(),

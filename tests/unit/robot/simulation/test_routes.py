@@ -60,10 +60,20 @@ def test_an_unknown_kind_is_named() -> None:
         plan_route(make_world("room", 0), "spiral")
 
 
+def test_the_way_through_the_middles_turns_round_once_in_every_room() -> None:
+    world = make_world("small", 3)
+    route = plan_route(world, "middles")
+    assert sorted(world.room_at(*p) for p in route.turns_round_at) == sorted(room.name for room in world.rooms)
+    on_route = [np.abs(route.points - p).sum(axis=1).min() for p in route.turns_round_at]
+    assert max(on_route) == 0.0
+    assert route.length_m < plan_route(world, "mapping").length_m
+
+
+@pytest.mark.parametrize("kind", ["mapping", "middles"])
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_the_driver_reaches_the_end_of_the_route_on_slipping_wheels(seed: int) -> None:
+def test_the_driver_reaches_the_end_of_the_route_on_slipping_wheels(seed: int, kind: str) -> None:
     world = make_world("small", seed)
-    route = plan_route(world, "mapping")
+    route = plan_route(world, kind)
     body = Body(world, BodyParameters(), (*route.points[0], route.start_yaw_rad), seed)
     driver, state, ticks, blocked = RouteDriver(route), body.state(), 0, 0
     while not driver.is_done and ticks * TICK_S < 200:
