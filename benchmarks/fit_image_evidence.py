@@ -60,7 +60,7 @@ def image_row(image: LookedAt, view: MapView, calibration: Calibration, where: d
     return row | {
         "p": true_p.tolist(),
         "heading": float(np.arctan2(T_map_body[1, 0], T_map_body[0, 0])),
-        "in_view": view.sightings.in_view(T_map_body @ camera.T_body_cam_matrix, camera),
+        "in_view": view.sightings.surely_in_view(T_map_body @ camera.T_body_cam_matrix, camera),
     }
 
 

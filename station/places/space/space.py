@@ -29,6 +29,11 @@ CELL_M = 0.1
 PASSAGE_M = 1.0  # what is narrower ends the map where the path did not go through: doors are some 0.9 m wide
 DRIVEN_M = 0.2  # this near the path space is free: the robot was there itself
 AT_HAND_M = 0.4  # ... and known, also behind the cameras, unless it was seen to lie beyond a door
+SEEN_UP_TO, BEFORE_M = (
+    0.9,
+    0.2,
+)  # a ray ends this share of the way to its point, less this: sights end short of landmarks
+STEPS = 30  # along a ray
 CARRIED_AT_HAND_M = 1.0  # a rig in somebody's hands swings about, and never looked behind itself
 
 
@@ -78,6 +83,18 @@ class Space:
     def knows(self, p_map: FloatArray) -> Cells:
         """(n,) whether positions (n, 3) lie where the map knows its way."""
         return self.among(self.known, p_map)
+
+    def shows(self, eye_map: FloatArray, p_map: FloatArray) -> Cells:
+        """(n,) whether points (n, 3) can be seen from an eye (3,), as far as free space tells: nothing else is between.
+
+        Landmarks tell less: where a wall shows none, those behind it are not hidden by others.
+        """
+        d = p_map - eye_map
+        far = np.linalg.norm(d, axis=1)
+        until = np.clip(SEEN_UP_TO - BEFORE_M * self.metre / np.maximum(far, 1e-9), 0.0, None)
+        on_the_way = eye_map + np.linspace(0.0, 1.0, STEPS)[:, None, None] * until[:, None] * d
+        free = self.among(self.free, on_the_way.reshape(-1, 3)).reshape(STEPS, len(p_map))
+        return np.asarray(free.all(axis=0), dtype=np.bool_)
 
     def among(self, cells: Cells, p_map: FloatArray) -> Cells:
         """(n,) whether positions (n, 3) lie in some of these cells."""

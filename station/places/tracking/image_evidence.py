@@ -271,7 +271,7 @@ class ImageEvidence:
         )
 
     def _in_view(self, h: Hypothesis, T_nav_head: FloatArray) -> float | None:
-        """How many landmarks should be in view, were a hypothesis true (`Sightings.in_view`); None: nobody knows.
+        """How many landmarks must be in view, were a hypothesis true (`surely_in_view`); None: nobody knows.
 
         Nobody does where the pose is uncertain by half of what a camera sees.
         """
@@ -280,7 +280,7 @@ class ImageEvidence:
         camera = self._cameras[h.map_index]
         if camera is None or is_uncertain or not sightings.is_enough:
             return None
-        return sightings.in_view(h.pose(T_nav_head) @ camera.T_body_cam_matrix, camera)
+        return sightings.surely_in_view(h.pose(T_nav_head) @ camera.T_body_cam_matrix, camera)
 
 
 def swing(z: Localization, landmarks: Landmarks) -> tuple[float, float]:

@@ -47,7 +47,7 @@ class MapView:
             space=space,
             reach=WidenedSpace.of(space),
             floor=Floor.of(place_map.navigation),
-            sightings=Sightings(place_map, unit),
+            sightings=Sightings(place_map, unit, space),
             rooms=RoomView.of(place_map.plan),
         )
 

@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, IntArray
 from station.model.place_map import PlaceMap
+from station.places.space.space import Space
 
 # A landmark seen from another side, or far smaller or larger, it does not look like itself.
 LANDMARK_ANGLE_RAD = np.radians(35.0)
@@ -24,9 +25,10 @@ THINNED_VIEW = 60  # landmarks of a keyframe that are looked at
 class Sightings:
     """Of one map."""
 
-    def __init__(self, place_map: PlaceMap, unit: float) -> None:
+    def __init__(self, place_map: PlaceMap, unit: float, space: Space) -> None:
         """`unit`: map units per metre."""
         self._unit = unit
+        self._space = space
         navigation = place_map.navigation
         poses = navigation.keyframes.T_world_cam
         self._position = poses[:, :3, 3]
@@ -40,20 +42,31 @@ class Sightings:
         return self._seen.is_enough
 
     def in_view(self, T_map_cam: FloatArray, camera: CameraCalibration) -> float:
-        """How many landmarks a camera should recognise at this pose (4, 4)."""
+        """How many landmarks a camera may recognise at this pose (4, 4)."""
+        return float(len(self._p_in_view(T_map_cam, camera)) * self._seen.every)
+
+    def surely_in_view(self, T_map_cam: FloatArray, camera: CameraCalibration) -> float:
+        """How many of them can be seen through what the map knows to be free: none through a cupboard."""
+        shown = self._space.shows(T_map_cam[:3, 3], self._p_in_view(T_map_cam, camera))
+        return float(np.count_nonzero(shown) * self._seen.every)
+
+    def _p_in_view(self, T_map_cam: FloatArray, camera: CameraCalibration) -> FloatArray:
+        """(n, 3) of the landmarks that are kept, in the map."""
+        eye = T_map_cam[:3, 3]
         if self._tree is None:
-            return 0.0
-        near = np.array(self._tree.query_ball_point(T_map_cam[:3, 3], LANDMARK_REACH * self._unit), dtype=np.int64)
+            return np.zeros((0, 3))
+        near = np.array(self._tree.query_ball_point(eye, LANDMARK_REACH * self._unit), dtype=np.int64)
         if not len(near):
-            return 0.0
+            return np.zeros((0, 3))
         if len(near) > MOST_ASKED:  # not every n-th one: drives repeat themselves
             near = near[np.argsort(self._shuffled[near])[:MOST_ASKED]]
-        p_cam = self._known_from(T_map_cam[:3, 3], near) @ T_map_cam[:3, :3]
-        p_cam = p_cam[p_cam[:, 2] > NEAREST_M * self._unit]
+        d = self._known_from(eye, near)
+        d = d[d @ T_map_cam[:3, 2] > NEAREST_M * self._unit]
+        p_cam = d @ T_map_cam[:3, :3]
         right = camera.fx * p_cam[:, 0] / p_cam[:, 2] + camera.cx
         down = camera.fy * p_cam[:, 1] / p_cam[:, 2] + camera.cy
         inside = (right >= 0) & (right < camera.width) & (down >= 0) & (down < camera.height)
-        return float(np.count_nonzero(inside) * self._seen.every)
+        return np.asarray(eye + d[inside])
 
     def _known_from(self, eye: FloatArray, near: IntArray) -> FloatArray:
         """(n, 3) from a position (3,) to the landmarks that these keyframes (k,) saw and that look alike from there."""

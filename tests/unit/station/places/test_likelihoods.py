@@ -11,12 +11,14 @@ from hypothesis import strategies as st
 
 from shared.calibration import Calibration
 from shared.geometry import se3, yaw_rotation
-from station.places.tracking.belief import Hypothesis
+from station.places.space.space import Space
+from station.places.tracking.belief import Belief, Hypothesis
 from station.places.tracking.config import BeliefConfig
-from station.places.tracking.image_evidence import MatchFigures, failure_probability, log_odds, support
+from station.places.tracking.image_evidence import ImageEvidence, MatchFigures, failure_probability, log_odds, support
+from station.places.tracking.map_view import MapView
 from station.places.tracking.sightings import Sightings
 from tests.support.places import ODDS, R_BODY_CAM, SECOND, estimator_of, make_map, pose, seen
-from tests.support.rooms import CAMERA, room_with_a_door
+from tests.support.rooms import CAMERA, mapped, room_with_a_door, walls
 
 USUAL = MatchFigures(extent_m=0.2, inliers=60, support=0.2, features=500, off_floor=1.0, is_free=True)
 
@@ -58,7 +60,7 @@ def test_a_failure_speaks_for_a_room_that_no_map_knows_and_against_a_known_view(
 
 def test_what_should_be_in_view_is_counted_where_the_camera_looks() -> None:
     place_map = room_with_a_door()
-    sightings = Sightings(place_map, 1.0)
+    sightings = Sightings(place_map, 1.0, Space.of(place_map.navigation))
 
     def at(x: float, y: float, yaw: float) -> float:
         T = se3(yaw_rotation(yaw), np.array([x, y, 0.0])) @ se3(R_BODY_CAM, np.zeros(3))
@@ -89,6 +91,22 @@ def test_a_failure_tells_a_pose_from_others_only_while_its_heading_is_known(turn
         assert against_lost() < 0.5 * before
     else:  # no odometry: 1.5 s after the last image it may look anywhere
         assert against_lost() == pytest.approx(before, rel=1e-3)
+
+
+def test_an_image_that_fails_before_a_cupboard_says_little_against_where_the_robot_is() -> None:
+    """Through what the map does not know to be free nothing is to be seen, whatever others saw from as near."""
+    p = walls()
+    angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    ring = 2.0 + 1.2 * np.column_stack([np.cos(angle), np.sin(angle)])
+    view = MapView.of(mapped(ring, 5 * angle, p[p[:, 0] > 0.1]))
+    evidence = ImageEvidence([view], view.place_map.navigation.calibration, BeliefConfig())
+
+    def fails(x: float) -> float:
+        m = evidence.measured(seen(0.0, pose(x, 2.0)))
+        belief = Belief((Hypothesis.started(m, np.eye(4), 1.0, 0.0, 1),), 0.0, 0.0)
+        return evidence.of_failure(400, 0.0, belief, np.eye(4), 1.0).at[0]
+
+    assert fails(0.8) < 0.2 and fails(-0.5) > 0.4
 
 
 def test_without_a_camera_a_failure_is_as_likely_at_a_pose_as_anywhere_in_the_map() -> None:

@@ -10,9 +10,14 @@ import pytest
 from shared.geometry import IntArray, se3, yaw_rotation
 from station.model.navigation import Keyframes
 from station.model.place_map import PlaceMap
+from station.places.space.space import Space
 from station.places.tracking.sightings import MOST_ASKED, Sightings
 from tests.support.places import R_BODY_CAM
-from tests.support.rooms import CAMERA, room_with_a_door
+from tests.support.rooms import CAMERA, mapped, room_with_a_door, walls
+
+
+def sightings_of(place_map: PlaceMap) -> Sightings:
+    return Sightings(place_map, 1.0, Space.of(place_map.navigation))
 
 
 def test_in_a_room_driven_through_all_day_as_much_is_in_view_and_not_every_keyframe_is_asked(
@@ -20,8 +25,8 @@ def test_in_a_room_driven_through_all_day_as_much_is_in_view_and_not_every_keyfr
 ) -> None:
     place_map = room_with_a_door()
     T = se3(yaw_rotation(np.pi), np.array([3.2, 2.0, 0.0])) @ se3(R_BODY_CAM, np.zeros(3))
-    once = Sightings(place_map, 1.0).in_view(T, CAMERA)
-    often = Sightings(repeated(place_map, 20), 1.0)
+    once = sightings_of(place_map).in_view(T, CAMERA)
+    often = sightings_of(repeated(place_map, 20))
     asked = []
     seen_by = often._seen.by
 
@@ -65,5 +70,21 @@ def test_landmarks_that_are_nowhere_are_not_in_view() -> None:
     p_world[::2] = np.nan
     half = replace(place_map, navigation=replace(place_map.navigation, landmarks=replace(landmarks, p_world=p_world)))
     T = se3(yaw_rotation(np.pi), np.array([3.2, 2.0, 0.0])) @ se3(R_BODY_CAM, np.zeros(3))
-    every = Sightings(place_map, 1.0).in_view(T, CAMERA)
-    assert Sightings(half, 1.0).in_view(T, CAMERA) == pytest.approx(every / 2, rel=0.25)
+    every = sightings_of(place_map).in_view(T, CAMERA)
+    assert sightings_of(half).in_view(T, CAMERA) == pytest.approx(every / 2, rel=0.25)
+
+
+def test_nothing_is_surely_in_view_through_a_wall_that_shows_nothing() -> None:
+    """A camera before a cupboard, or behind a plain wall: others saw across the room from as near."""
+    angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    ring = 2.0 + 1.2 * np.column_stack([np.cos(angle), np.sin(angle)])
+    p = walls()
+    sightings = sightings_of(mapped(ring, 5 * angle, p[p[:, 0] > 0.1]))
+
+    def looking_across(x: float) -> tuple[float, float]:
+        T = se3(np.eye(3), np.array([x, 2.0, 0.0])) @ se3(R_BODY_CAM, np.zeros(3))
+        return sightings.in_view(T, CAMERA), sightings.surely_in_view(T, CAMERA)
+
+    inside, behind = looking_across(0.8), looking_across(-0.5)
+    assert inside[1] == pytest.approx(inside[0], rel=0.1) and inside[0] > 100
+    assert behind[0] > 50 and behind[1] == 0.0
