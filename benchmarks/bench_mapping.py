@@ -1,7 +1,7 @@
 """How good is a backend's map for places? Maps simulated flats, then looks for the pictures of a second drive in it.
 
     python -m benchmarks.bench_mapping --backend ukf --seeds 101-106 [--scratch DIR] [--step 1] [--rows FILE.jsonl]
-        [--look-around 60]
+        [--look-around 60 [--one-head]]
 
 Per seed, as in the demo but without waiting for the clock: the mapping route through a flat of world `small`, the map
 and its places, then 30 s of another route from a random spot, its pictures localised four times a second. Drives
@@ -9,7 +9,8 @@ are rendered where they are missing, with all imperfections on. The truth only j
 and yaw; `localised`: share of the second drive's pictures with a verified pose; `position_m`: error of those poses
 (median, 90 %, worst) after the map was laid on the truth; `right`: answers "known" that name the nearest place, ties
 within 10 %.
-With --look-around the camera's head turns so many degrees to both sides in both drives, by servos 3 degrees wrong.
+With --look-around the camera's head turns so many degrees to both sides in both drives, by servos 3 degrees wrong:
+those of one robot with --one-head, else each drive has its own, as where one robot maps and another asks.
 One JSON line per seed, failures too; seeds that FILE (usually in benchmarks/results/work) already has are not run
 again, so an interrupted run can go on.
 """
@@ -158,11 +159,24 @@ def second_drive(path: Path, backend: str, place_map: PlaceMap, T_truth_map: Flo
     }
 
 
-def run_seed(seed: int, world: str, backend: str, step: int, around: int, scratch: Path) -> dict[str, Any]:
+def turning_head(seed: int, around: int, one_head: bool, scratch: Path) -> tuple[str, ...]:
+    """Arguments of robot-sim for a head that turns so many degrees to both sides, by its own servos or the flat's."""
+    if not one_head:
+        return ("--look-around", str(around)) if around else ()
+    config = scratch / f"head-{seed}.toml"
+    config.write_text(f"[servos]\nseed = {seed}\n")
+    return ("--look-around", str(around), "--config", str(config))
+
+
+def run_seed(
+    seed: int, world: str, backend: str, step: int, around: int, one_head: bool, scratch: Path
+) -> dict[str, Any]:
     """One flat: map it, look for another drive in it."""
-    row: dict[str, Any] = {"world": world, "seed": seed, "backend": backend, "step": step, "look_around": around}
-    turning = ("--look-around", str(around)) if around else ()
-    name = f"{world}{seed}" + (f"-around{around}" if around else "")
+    row: dict[str, Any] = {
+        "world": world, "seed": seed, "backend": backend, "step": step, "look_around": around, "one_head": one_head,
+    }  # fmt: skip
+    turning = turning_head(seed, around, one_head, scratch)
+    name = f"{world}{seed}" + (f"-around{around}" if around else "") + ("-one-head" if one_head else "")
     first = render(
         scratch / f"{name}-mapping", seed, world, "--route", "mapping", "--drive-seed", str(seed), *turning,
     )  # fmt: skip
@@ -200,21 +214,24 @@ def main() -> int:
     parser.add_argument("--world", default="small")
     parser.add_argument("--step", type=int, default=1, help="use every step-th picture of the mapping drive")
     parser.add_argument("--look-around", type=int, default=0, help="degrees to both sides that the head turns")
+    parser.add_argument("--one-head", action="store_true", help="by the same servos in both drives")
     parser.add_argument("--scratch", type=Path, help="where drives are kept; usually in benchmarks/results/work")
     parser.add_argument("--rows", type=Path)
     add_results_option(parser, "mapping")
     arguments = parser.parse_args()
+    if arguments.one_head and not arguments.look_around:
+        parser.error("--one-head is a head that turns: give --look-around")
     run = Run.begin()
     scratch = arguments.scratch or work_folder() / "drives"
     scratch.mkdir(parents=True, exist_ok=True)
     kept = arguments.rows or work_folder() / "mapping.jsonl"
     kept.parent.mkdir(parents=True, exist_ok=True)
     lines = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
-    known = {(r["world"], r["seed"], r["backend"], r["step"], r.get("look_around", 0)): r for r in lines}
+    known = {(r["world"], r["seed"], r["backend"], r["step"], *head_of(r)): r for r in lines}
     rows = []
     for seed in parse_seeds(arguments.seeds):
         for backend in arguments.backend or ["ukf"]:
-            options = arguments.step, arguments.look_around
+            options = arguments.step, arguments.look_around, arguments.one_head
             row = known.get((arguments.world, seed, backend, *options))
             if row is None:
                 row = run_seed(seed, arguments.world, backend, *options, scratch)
@@ -226,14 +243,20 @@ def main() -> int:
     return 1 if any("failed" in row for row in rows) else 0
 
 
+def head_of(row: dict[str, Any]) -> tuple[int, bool]:
+    """How far it turned, and whether both drives had the same; older rows do not say."""
+    return row.get("look_around", 0), row.get("one_head", False)
+
+
 def figures(rows: list[dict[str, Any]]) -> list[Figure]:
     """Of each backend's maps: how true they are, and what a second drive gets from them."""
     found = []
     for backend in dict.fromkeys(row["backend"] for row in rows):
         mine = [row for row in rows if row["backend"] == backend]
         good = [row for row in mine if "failed" not in row]
-        around = "" if not mine[0]["look_around"] else f", head turning by {mine[0]['look_around']}°"
-        title = f"map by {backend}, {len(mine)} flats{around}"
+        around, one_head = head_of(mine[0])
+        turning = f", head turning by {around}°" + (", the same in both drives" if one_head else "") if around else ""
+        title = f"map by {backend}, {len(mine)} flats{turning}"
         errors = [row["ate_m"] for row in good]
         of_path = [100 * row["ate_m"] / row["path_m"] for row in good]
         known = sum(row["right"] + row["wrong"] for row in good)

@@ -67,8 +67,12 @@ class BodyParameters(Section, frozen=True, kw_only=True):
 
 
 class ServoImperfections(Section, frozen=True, kw_only=True):
-    """What two hobby servos make of the angles they are told. Straight ahead, as it was mounted, they are right."""
+    """What two hobby servos make of the angles they are told. Straight ahead, as it was mounted, they are right.
 
+    With a seed they are the same servos in every drive, as those of one robot are; else each drive has its own.
+    """
+
+    seed: Annotated[int, Meta(ge=0)] | None = None
     delay_s: float = 0.02  # until the next pulse
     lag_s: float = 0.05
     error_deg: float = 3.0  # rms over +-60 degrees: the same at the same angle, it grows and wanders with it
@@ -140,7 +144,9 @@ def without_imperfections(config: SimulationConfig | None = None) -> SimulationC
         ),
         imu=ImuImperfections(noise=False, bias=False, bias_walk=False, vibration=False, saturation=False),
         body=msgspec.structs.replace(config.body, slip=False, wobble=False),
-        servos=ServoImperfections(delay_s=0.0, lag_s=0.0, error_deg=0.0, backlash_deg=0.0, jitter_deg=0.0),
+        servos=ServoImperfections(
+            seed=config.servos.seed, delay_s=0.0, lag_s=0.0, error_deg=0.0, backlash_deg=0.0, jitter_deg=0.0
+        ),
     )
 
 

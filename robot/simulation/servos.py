@@ -22,9 +22,11 @@ class Servos:
     """Pan and tilt; step() advances by one tick of the body. Heads that are never turned stay where they are."""
 
     def __init__(self, imperfections: ServoImperfections, seed: int) -> None:
+        """`seed`: of the drive."""
         self._imperfections = imperfections
         self._rng = np.random.default_rng([seed, 16])
-        self._errors = [error_of_angle(math.radians(imperfections.error_deg), self._rng) for _ in range(2)]
+        own = self._rng if imperfections.seed is None else np.random.default_rng([imperfections.seed, 16])
+        self._errors = [error_of_angle(math.radians(imperfections.error_deg), own) for _ in range(2)]
         self._told = (0.0, 0.0)
         self._waiting: deque[tuple[float, float]] = deque(
             [(0.0, 0.0)] * round(imperfections.delay_s / TICK_S), maxlen=round(imperfections.delay_s / TICK_S) + 1

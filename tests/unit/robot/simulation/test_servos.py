@@ -65,3 +65,11 @@ def test_the_head_carries_the_camera_between_two_ticks() -> None:
     T = MotionHistory(states).head_pose(TICK_S / 2, REFERENCE_HEAD)
     np.testing.assert_allclose(T, se3(R, p) @ turned(REFERENCE_HEAD, 0.1, -0.05), atol=1e-12)
     assert (MotionHistory(states).head_pose(TICK_S, None) == se3(R, p)).all()
+
+
+def test_one_robot_has_the_same_servos_in_every_drive() -> None:
+    wrong = msgspec.structs.replace(IDEAL, error_deg=3.0)
+    own = msgspec.structs.replace(wrong, seed=5)
+    angle = math.radians(40)
+    assert settled(Servos(own, 1), angle) == settled(Servos(own, 2), angle) == settled(Servos(wrong, 5), angle)
+    assert settled(Servos(wrong, 1), angle) != settled(Servos(wrong, 2), angle)
