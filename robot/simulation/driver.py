@@ -9,10 +9,10 @@ import numpy as np
 from robot.head import CameraHead
 from robot.simulation.routes import Route
 from robot.watchdog import STANDSTILL, Velocity
+from shared.geometry import FloatArray
 
 LOOKAHEAD_M = 0.28
 MAX_SPEED_M_S, MAX_YAW_RATE_RAD_S = 0.42, 0.5
-AT_M = 0.08  # a point at which to turn is passed as closely as this
 TURN_RAD_S = 1.5  # commanded while turning round; wheels slip to a third of it
 WINDOW_POINTS = 40  # the nearest point is sought this far ahead only, so that a crossing route stays in order
 GOAL_M = 0.12
@@ -51,7 +51,7 @@ class RouteDriver:
         self._efficiency = expected_yaw_efficiency
         self._last_yaw_rate = self._last_linear = 0.0
         self._anchor, self._idle, self._backing = (math.inf, math.inf), 0, 0
-        self._turns_left_at = list(route.turns_round_at)
+        self._turns_left = list(route.turns_round_at)
         self._left_to_turn_rad, self._last_yaw_rad = 0.0, 0.0
         self.is_done = False
 
@@ -74,15 +74,16 @@ class RouteDriver:
 
     def command(self, x_m: float, y_m: float, yaw_rad: float, yaw_rate_rad_s: float) -> Velocity:
         """The command for the present pose and achieved yaw rate."""
-        if self._turns_round((x_m, y_m), yaw_rad):
-            return Velocity(0.0, TURN_RAD_S)
-        points = self._route.points
+        points = self._points_ahead
         window = points[self._index : self._index + WINDOW_POINTS]
         distance = np.hypot(window[:, 0] - x_m, window[:, 1] - y_m)
         self._index += int(np.argmin(distance))
-        if self._index >= len(points) - 3 and math.hypot(*(points[-1] - (x_m, y_m))) < GOAL_M + 0.05:
+        if self._turns_round(yaw_rad):
+            return Velocity(0.0, TURN_RAD_S)
+        points, is_last = self._points_ahead, not self._turns_left
+        if is_last and self._index >= len(points) - 3 and math.hypot(*(points[-1] - (x_m, y_m))) < GOAL_M + 0.05:
             self.is_done = True
-        if self.is_done or self._index >= len(points) - 1:
+        if self.is_done or (is_last and self._index >= len(points) - 1):
             self.is_done = True
             return STANDSTILL
         target = points[min(self._index + int(LOOKAHEAD_M / 0.05), len(points) - 1)]
@@ -102,18 +103,25 @@ class RouteDriver:
         self._last_yaw_rate = float(np.clip(yaw_rate / self._efficiency, -MAX_COMMAND_RAD_S, MAX_COMMAND_RAD_S))
         return Velocity(linear, self._last_yaw_rate)
 
-    def _turns_round(self, at: tuple[float, float], yaw_rad: float) -> bool:
+    @property
+    def _points_ahead(self) -> FloatArray:
+        """The route as far as the next turn: where the way back leads beside the way there, it may be nearer."""
+        return self._route.points[: self._turns_left[0] + 1] if self._turns_left else self._route.points
+
+    def _turns_round(self, yaw_rad: float) -> bool:
         """Whether to turn on the spot, once at each point where the route says so."""
         turned, self._last_yaw_rad = yaw_rad - self._last_yaw_rad, yaw_rad
+        if not self._turns_left or self._index < self._turns_left[0]:
+            return False
+        if self._left_to_turn_rad == 0.0:
+            self._left_to_turn_rad = 2 * math.pi
+            return True
         self._left_to_turn_rad -= abs(math.remainder(turned, 2 * math.pi))
         if self._left_to_turn_rad > 0:
             return True
-        here = next((p for p in self._turns_left_at if math.dist(p, at) < AT_M), None)
-        if here is None:
-            return False
-        self._turns_left_at.remove(here)
-        self._left_to_turn_rad = 2 * math.pi
-        return True
+        self._left_to_turn_rad = 0.0
+        del self._turns_left[0]
+        return False
 
     def _learn_efficiency(self, yaw_rate_rad_s: float) -> None:
         """How much of the commanded turning the wheels achieve here, as a driver feels after a second."""

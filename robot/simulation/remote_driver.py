@@ -89,7 +89,7 @@ def drive_route(
     http_link = StationHttp(station, driver_name)
     try:
         plan = control.ask(cmd="route", kind=kind, seed=seed)
-        turns = tuple((float(x), float(y)) for x, y in plan["turns_round_at"])
+        turns = tuple(plan["turns_round_at"])
         route = Route(plan["kind"], np.array(plan["points"]), plan["start_yaw"], turns)
         return _follow(control, http_link, route, max_duration_s)
     finally:

@@ -30,7 +30,7 @@ class Route:
     kind: str
     points: FloatArray  # (N, 2) m, world
     start_yaw_rad: float
-    turns_round_at: tuple[tuple[float, float], ...] = ()  # x m, y m: points at which the driver turns once round
+    turns_round_at: tuple[int, ...] = ()  # rows of `points`, ascending, at which the driver turns once round
 
     @property
     def length_m(self) -> float:
@@ -178,12 +178,12 @@ def plan_route(
 
 def looking_around(route: Route, world: World) -> Route:
     """The same with one turn in each room it leads through, where it comes nearest to the room's middle."""
-    nearest: dict[str, tuple[float, float]] = {}
+    nearest: list[int] = []
     for room in world.rooms:
-        inside = [(float(x), float(y)) for x, y in route.points if world.room_at(x, y) == room.name]
+        inside = [i for i, p in enumerate(route.points) if world.room_at(*p) == room.name]
         if inside:
-            nearest[room.name] = min(inside, key=lambda p: math.dist(p, room.centre))
-    return replace(route, turns_round_at=tuple(nearest.values()))
+            nearest.append(min(inside, key=lambda i: math.dist(route.points[i], room.centre)))
+    return replace(route, turns_round_at=tuple(sorted(nearest)))
 
 
 def _room_order(

@@ -7,7 +7,6 @@ from collections import deque
 import numpy as np
 import pytest
 
-from robot.simulation.driver import AT_M
 from robot.simulation.routes import looking_around
 from robot.simulation.worlds import make_world
 from shared.geometry import FloatArray
@@ -45,14 +44,14 @@ def test_whoever_maps_turns_once_round_in_every_room_but_one() -> None:
     flat = SimulatedFlat("small", 3, Misfit(), DriveOptions())
     left_out = room_left_out(flat.world)
     route = looking_around(mapping_route(flat.world, left_out, 3), flat.world)
-    spots = route.turns_round_at
+    spots = route.points[list(route.turns_round_at)]
     assert sorted(flat.world.room_at(*p) for p in spots) == sorted({r.name for r in flat.world.rooms} - {left_out})
     robot = flat.robot(Plan("mapping", route, None, 600.0), 1)
     deque(robot.sent(frame_rate_hz=0.001), maxlen=0)  # the whole drive
     T = robot.truth.T_world_body
     turned = np.abs(np.diff(np.unwrap(np.arctan2(T[:, 1, 0], T[:, 0, 0]))))
     for spot in spots:
-        is_there = np.hypot(*(T[1:, :2, 3] - spot).T) < 2 * AT_M
+        is_there = np.hypot(*(T[1:, :2, 3] - spot).T) < 0.25
         assert turned[is_there].sum() > 1.9 * np.pi
     assert np.hypot(*(T[-1, :2, 3] - route.points[-1])) < 0.3
 
