@@ -6,7 +6,6 @@ that is set, or starts anew with an empty battery, would take away what was dele
 
 from __future__ import annotations
 
-import math
 import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -18,10 +17,10 @@ import msgspec
 from shared.bounded import MAX_SETTINGS_BYTES, read_file
 from shared.disk import make_folder, replace_file
 from shared.errors import DataError
+from station.library.lived_time import LivedTime
 
 KEEP_S = 7 * 86_400.0  # deleted things are kept so long,
 MAX_KEPT = 20  # but no more than this many: recordings are large
-MAX_AWAY_S = 86_400.0  # of the time between two runs, which only the wall's clock tells, at most so much counts
 Kind = Literal["navigation", "map"]
 
 
@@ -52,8 +51,7 @@ class Bin:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._entries: dict[tuple[str, str], BinEntry] = {}
-        self._looked_wall_s = math.inf  # when `update` was called last, maybe of an earlier run
-        self._looked_run_s: float | None = None  # in this run
+        self._lived = LivedTime()
         self._written: dict[tuple[str, str], BinEntry] = {}
         self._updating = threading.Lock()  # two requests may each delete something at once
 
@@ -64,7 +62,7 @@ class Bin:
         except (OSError, msgspec.DecodeError):
             read = []
         if isinstance(read, _File):
-            self._looked_wall_s, entries = read.looked_wall_s, read.entries
+            self._lived, entries = LivedTime(read.looked_wall_s), read.entries
         else:  # of a station until November 2026, which counted nothing
             entries = tuple(read)
         self._entries = self._written = {(entry.kind, entry.id): entry for entry in entries}
@@ -79,8 +77,7 @@ class Bin:
             DataError: the file cannot be written.
         """
         with self._updating:
-            lived_s = self._lived_s(now_s, run_s)
-            self._looked_wall_s, self._looked_run_s = now_s, run_s
+            lived_s = self._lived.look(now_s, run_s)
             before = self._entries
             self._entries = {
                 (kind, found): _kept_on(before[kind, found], lived_s, now_s)
@@ -101,17 +98,11 @@ class Bin:
         """What is to be deleted for good: kept long enough, or too many."""
         return tuple(e for i, e in enumerate(self.list()) if i >= MAX_KEPT or e.is_due)
 
-    def _lived_s(self, now_s: float, run_s: float) -> float:
-        """How much time counts since the last look."""
-        if self._looked_run_s is not None:
-            return max(0.0, run_s - self._looked_run_s)  # of two at once the later one may come first
-        return min(max(0.0, now_s - self._looked_wall_s), MAX_AWAY_S)
-
     def _write(self) -> None:
         try:
             make_folder(self._path.parent)
             scratch = self._path.with_name(f".{self._path.name}")
-            content = msgspec.json.encode(_File(self._looked_wall_s, self.list()))
+            content = msgspec.json.encode(_File(self._lived.looked_wall_s, self.list()))
             replace_file(self._path, content, scratch=scratch)
         except OSError as exc:
             raise DataError(f"{self._path} cannot be written ({exc.strerror}); free space or choose another") from exc

@@ -21,12 +21,14 @@ from shared.text import PRINTABLE
 from station.errors import Unknown
 from station.files.unwritable import Unwritable, cannot_write, why_unwritable
 from station.library.dated_id import free_dated_id
+from station.library.recording_ages import RecordingAges
 
 NavigationState = Literal["recording", "finishing", "ready", "failed"]
 RECORD = "record.json"
 RECORDING = "recording.mcap"
 NAVIGATION = "navigation"
 OLD_RECORD = "drive.json"  # its name until November 2026
+AGES = "recording_ages.json"
 BIN = ".bin"  # the folder of deleted navigations
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}")
 
@@ -58,6 +60,7 @@ class NavigationLibrary:
 
     def __init__(self, root: Path) -> None:
         self._root = root
+        self.recording_ages = RecordingAges(root / AGES)
         self.unwritable = ""  # a sentence, when `open` found that nothing can be written
         self._navigations: dict[str, NavigationRecord] = {}
 

@@ -26,6 +26,7 @@ class FinishedRecording:
     navigation_id: str
     started_wall_s: float  # seconds since 1970
     bytes: int
+    age_s: float = 0.0  # as the station counts: its clock on the wall may be set
 
 
 async def recover_recordings(
@@ -50,8 +51,8 @@ async def recover_recordings(
 
 async def retain_recordings(library: NavigationLibrary, limits: RecordingConfig, events: Notifier) -> None:
     """Remove the recordings that are beyond the limits."""
-    finished = await asyncio.to_thread(finished_recordings, library)
-    for old in to_remove(finished, round(limits.max_gb * 1e9), limits.max_days * 86_400.0, time.time()):
+    finished = await asyncio.to_thread(_with_ages, library)
+    for old in to_remove(finished, round(limits.max_gb * 1e9), limits.max_days * 86_400.0):
         try:
             await asyncio.to_thread(remove_recording, library, old.navigation_id)
         except RobotSystemError as exc:
@@ -59,6 +60,14 @@ async def retain_recordings(library: NavigationLibrary, limits: RecordingConfig,
             continue
         text = f"the recording of {old.navigation_id} was removed, as recordings.max_gb and max_days ask"
         events.notify("navigation", f"{text}; its trajectory and landmarks stay")
+
+
+def _with_ages(library: NavigationLibrary) -> list[FinishedRecording]:
+    """The recordings of navigations that are over, as old as they are by now."""
+    finished = finished_recordings(library)
+    there = [r.navigation_id for r in finished] + [n.id for n in library.deleted()]  # which may be restored
+    ages_s = library.recording_ages.update(there, time.time(), time.monotonic())
+    return [replace(r, age_s=ages_s[r.navigation_id]) for r in finished]
 
 
 def finished_recordings(library: NavigationLibrary) -> list[FinishedRecording]:
@@ -73,16 +82,14 @@ def finished_recordings(library: NavigationLibrary) -> list[FinishedRecording]:
     return found
 
 
-def to_remove(
-    recordings: Iterable[FinishedRecording], max_bytes: int, max_age_s: float, now_wall_s: float
-) -> list[FinishedRecording]:
+def to_remove(recordings: Iterable[FinishedRecording], max_bytes: int, max_age_s: float) -> list[FinishedRecording]:
     """The ones to remove, oldest first. A limit of 0 is none."""
-    newest_first = sorted(recordings, key=lambda r: (-r.started_wall_s, r.navigation_id))
+    newest_first = sorted(recordings, key=lambda r: (r.age_s, -r.started_wall_s, r.navigation_id))
     removed = []
     total = 0
     for recording in newest_first:
         total += recording.bytes
-        is_old = max_age_s > 0 and now_wall_s - recording.started_wall_s > max_age_s
+        is_old = max_age_s > 0 and recording.age_s > max_age_s
         if is_old or (max_bytes > 0 and total > max_bytes):
             removed.append(recording)
     return removed[::-1]

@@ -7,7 +7,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from station.library.bin import KEEP_S, MAX_AWAY_S, MAX_KEPT, Bin
+from station.library.bin import KEEP_S, MAX_KEPT, Bin
+from station.library.lived_time import MAX_AWAY_S
 
 DAY_S = 86_400.0
 NOW_S = 1.8e9
