@@ -7,7 +7,6 @@ worker processes, files to threads, and the event loop only carries messages.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 import time
 from collections.abc import Callable
@@ -192,17 +191,27 @@ class Station:
             order = folders, address, name or title, mode, executor, places
             built = await worker.call(LibraryProgram.build_map, *order)
             self.events.changed("map")
-            with contextlib.suppress(RobotSystemError):  # the map is there; localisation makes what is missing
+            try:
                 await worker.call(LibraryProgram.index_map, folders, address)
+            except RobotSystemError as exc:  # the map is there; localisation makes what is missing
+                self._without(worker, f"the index of {built.name} is made later", exc)
             if activate:
                 await self.use_maps(built.map_id)
-            with contextlib.suppress(RobotSystemError):  # the map is there, and may be in use
-                plates = await worker.call(LibraryProgram.read_plates, address, built.map_id)
-                if plates:
-                    await self.maps.suggest(built.map_id, "door plate", plates)
+            try:
+                if await worker.call(LibraryProgram.read_plates, address, built.map_id):
+                    await self.maps.refresh(built.map_id)
+                    self._regroup()
+            except RobotSystemError as exc:  # the map is there, and may be in use
+                self._without(worker, f"no door plates are read in {built.name}", exc)
             return {"map": built.map_id, "places": built.places}
 
         return self.jobs.start("build map", title, work)
+
+    def _without(self, worker: JobWorker[LibraryProgram], what: str, exc: RobotSystemError) -> None:
+        """A job goes on without one of its steps; a cancelled one ends. To be called where `exc` was caught."""
+        if worker.is_ended:
+            raise exc
+        self.events.notify("map", f"{what}: {exc}", "warning")
 
     def measure_places(self) -> Job:
         """How surely each place of the active map would be found again, in the background. Raises Conflict."""

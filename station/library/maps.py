@@ -21,13 +21,13 @@ from station.library.place_changes import PlacesChange, changes_of, why_not_that
 from station.maps.editing import tidy_name, with_place_renamed
 from station.maps.repair.purging import collect_garbage, purge, tidy_up
 from station.maps.store import MapStore
-from station.model.floor_plan import NameSuggestion, Room, SuggestionSource
+from station.model.floor_plan import Room
 from station.model.map_store import MapSummary, StoreAddress
 from station.model.place_map import Place, PlaceMap
 from station.places.localisation.index_path import forget_index
 from station.places.making.changes import with_place_hidden, with_places_merged
 from station.places.rooms.edits import with_door_erased, with_room_renamed, with_room_split, with_rooms_merged
-from station.places.rooms.planning import with_suggestions_of
+from station.places.rooms.planning import with_suggestions_too
 
 logger = logging.getLogger(__name__)
 MAX_WHY = 200
@@ -159,15 +159,11 @@ class Maps:
         self._events.changed("map")
         return next(summary for summary in await self.list() if summary.id == map_id)
 
-    async def suggest(self, map_id: str, source: SuggestionSource, found: Sequence[NameSuggestion]) -> None:
-        """Names for a map's rooms, in the place of all by the same source. Raises Unknown, DataError."""
-        suggested = partial(with_suggestions_of, source=source, found=found)
+    async def refresh(self, map_id: str) -> None:
+        """A job changed this map in the store; show it as it is there, where it is active. Raises DataError."""
         async with self._changing:
-            await self._require(map_id)
-            why = f"names by {source} are suggested"
-            place_map = await asyncio.to_thread(self._store.edit, map_id, suggested, why)
             if self.active.find(map_id) is not None:
-                self._replace(place_map)
+                self._replace(await asyncio.to_thread(self._store.load, map_id))
 
     async def rename_place(self, place_id: str, name: str) -> Place:
         """Raises Conflict, Unknown, or DataError for a name in use."""
@@ -237,13 +233,14 @@ class Maps:
     async def undo(self, version: int | None) -> PlacesChange:
         """Take back the newest change of places or rooms; `version`: only if it is that one. Returns the change.
 
-        The map keeps its name: that is no change of its places.
+        The map keeps its name, and what was suggested meanwhile: these are no changes of its places.
 
         Raises:
             Conflict: no map is active, there is nothing to take back, or `version` is not the newest change.
         """
         async with self._changing:
-            map_id = self.active.require_first().place_map.id
+            before = self.active.require_first().place_map
+            map_id = before.id
             history = await asyncio.to_thread(self._store.history, map_id)
             changes = changes_of(history)
             if not changes:
@@ -252,7 +249,8 @@ class Maps:
                 raise Conflict(why_not_that_one(version, changes))
             to = changes[0].previous
             await asyncio.to_thread(self._store.undo, map_id, to, newest_is=history[0].number, keeps_name=True)
-            self._replace(await asyncio.to_thread(self._store.load, map_id))
+            keep = partial(with_suggestions_too, before=before)
+            self._replace(await asyncio.to_thread(self._store.edit, map_id, keep, "names are suggested as before"))
             return changes[0]
 
     def _replace(self, place_map: PlaceMap) -> ActiveMap:

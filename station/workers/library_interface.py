@@ -9,7 +9,6 @@ from typing import Any
 
 from shared.calibration import CameraCalibration
 from station.calibration.target import Target, TargetKind
-from station.model.floor_plan import NameSuggestion
 from station.model.map_store import StoreAddress
 from station.model.navigation import NavigationReport
 from station.model.place_map import PlaceGrain
@@ -55,8 +54,12 @@ class LibraryProgram(Program, ABC):
         """The localisation index of the map that this worker built from these folders, where it costs little."""
 
     @abstractmethod
-    def read_plates(self, address: StoreAddress, map_id: str) -> tuple[NameSuggestion, ...]:
-        """Names for the rooms of a map by printed words in its pictures: half a minute, nobody has to wait for it."""
+    def read_plates(self, address: StoreAddress, map_id: str) -> bool:
+        """Suggest names for a map's rooms by printed words in its pictures; whether the map has others now.
+
+        Takes a multiple of the time of all before it, so nobody should wait for it. Raises DataError: the map is
+        another one by now.
+        """
 
     @abstractmethod
     def measure_places(self, address: StoreAddress, map_id: str) -> dict[str, float]:

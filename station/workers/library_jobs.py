@@ -36,9 +36,10 @@ from station.places.making.build import build_map
 from station.places.making.config import PlacesConfig, PlacesMode
 from station.places.making.repeatability import repeatability
 from station.places.naming.suggest import plate_names, sticker_names
-from station.places.rooms.planning import planned
+from station.places.rooms.planning import planned, with_suggestions_of
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
+from station.vision.printed import can_read_print
 from station.workers.calibration_interface import RECORDING, RESIDUALS, RESULT, PaperSize
 from station.workers.executors.opening import open_executor
 from station.workers.library_interface import BuiltMap, LibraryProgram, Progress
@@ -78,8 +79,8 @@ class LibraryJobs(LibraryProgram):
         self._emit(Progress(0.75, "looking for stickers that name rooms"))
         found = () if draft.plan is None else sticker_names(draft, draft.plan)
         found += self._names_elsewhere(store, draft, config)
-        if earlier is not None and earlier.id == place_map.id:  # of the same pictures, which are read again later
-            found += tuple(s for s in earlier.suggestions if s.source == "door plate")
+        if earlier is not None and _of_same_pictures(earlier, place_map):  # they are read again later
+            found += _plates_of(earlier)
         place_map = replace(place_map, suggestions=found)
         self._emit(Progress(0.8, f"saving {_count(len(draft.places), 'place')}"))
         # That took long: what people did to places and rooms meanwhile is taken over, too.
@@ -125,11 +126,23 @@ class LibraryJobs(LibraryProgram):
             waiting = Progress(0.85, "another map is indexed; this one is next")
             index_of(address.root, self._built, lambda: None, lambda: self._emit(waiting), pictures)
 
-    def read_plates(self, address: StoreAddress, map_id: str) -> tuple[NameSuggestion, ...]:
-        place_map = MapStore(address).load(map_id)
-        if place_map.plan is None:
-            return ()
-        return plate_names(place_map, place_map.plan, lambda text: self._emit(Progress(0.95, text)))
+    def read_plates(self, address: StoreAddress, map_id: str) -> bool:
+        store = MapStore(address)
+        place_map = store.load(map_id)
+        if place_map.plan is None or not can_read_print():
+            return False
+        found = plate_names(place_map, place_map.plan, lambda text: self._emit(Progress(0.95, text)))
+        if not found and not _plates_of(place_map):
+            return False
+
+        def with_plates(now: PlaceMap) -> PlaceMap:
+            """The map as it is by now: people may have changed it meanwhile."""
+            if not _of_same_pictures(now, place_map):
+                raise DataError(f"{place_map.name} was made anew meanwhile")
+            return with_suggestions_of(now, "door plate", found)
+
+        store.edit(map_id, with_plates, "names on door plates were read")
+        return True
 
     def measure_places(self, address: StoreAddress, map_id: str) -> dict[str, float]:
         self._emit(Progress(0.1, "reading the map"))
@@ -230,6 +243,14 @@ class LibraryJobs(LibraryProgram):
         self._emit(Progress(0.95, f"saving {_count(len(navigation.landmarks), 'landmark')}"))
         save_navigation(navigation, folder)
         return navigation.report
+
+
+def _of_same_pictures(one: PlaceMap, other: PlaceMap) -> bool:
+    return one.id == other.id and one.navigation.keyframes.encoded == other.navigation.keyframes.encoded
+
+
+def _plates_of(place_map: PlaceMap) -> tuple[NameSuggestion, ...]:
+    return tuple(s for s in place_map.suggestions if s.source == "door plate")
 
 
 def _taking_over(built: PlaceMap, earlier: PlaceMap | None) -> PlaceMap:

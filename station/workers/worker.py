@@ -85,6 +85,11 @@ class Worker(Generic[ProgramT, EventT]):
         return None if self._process is None else self._process.pid
 
     @property
+    def is_ended(self) -> bool:
+        """Whether its process was told to end, or was killed, by us."""
+        return self._closing
+
+    @property
     def dropped(self) -> Mapping[Hashable, int]:
         """How many posted requests found the outbox full, by their method."""
         return self._outbox.dropped

@@ -25,14 +25,14 @@ def suggest_names(
 
 
 def sticker_names(place_map: PlaceMap, plan: FloorPlan) -> tuple[NameSuggestion, ...]:
-    """Those that stickers speak for: 4 ms a picture."""
+    """Those that stickers speak for: quick, beside what printed words take."""
     return suggestions(find_stickers(place_map, plan.unit), plan)
 
 
 def plate_names(
     place_map: PlaceMap, plan: FloorPlan, say: Callable[[str], None] = lambda _: None
 ) -> tuple[NameSuggestion, ...]:
-    """Those that printed words speak for: half a minute a home."""
+    """Those that printed words speak for."""
     if not can_read_print():
         return ()
     return suggestions(_read_plates(place_map, plan, find_stickers(place_map, plan.unit), say), plan)

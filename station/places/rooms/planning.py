@@ -109,6 +109,15 @@ def with_suggestions_of(place_map: PlaceMap, source: SuggestionSource, found: Se
     return with_plan(replace(place_map, suggestions=(*others, *found)), place_map.plan)
 
 
+def with_suggestions_too(place_map: PlaceMap, before: PlaceMap) -> PlaceMap:
+    """The map with what sources suggested in the other version that had suggested nothing in this one."""
+    spoke = {s.source for s in place_map.suggestions}
+    later = tuple(s for s in before.suggestions if s.source not in spoke)
+    if place_map.plan is None or not later:
+        return place_map
+    return with_plan(replace(place_map, suggestions=(*place_map.suggestions, *later)), place_map.plan)
+
+
 def with_suggestions(place_map: PlaceMap, say: Callable[[str], None] = lambda _: None) -> PlaceMap:
     """The map with names that something in its pictures speaks for; nothing is named yet.
 

@@ -10,12 +10,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from shared.errors import DataError
 from station.events import Events
 from station.library.maps import Maps
 from station.maps.store import MapStore
-from station.model.floor_plan import NameSuggestion
+from station.model.floor_plan import FloorPlan, NameSuggestion
 from station.model.frames import ImageArray
 from station.model.map_store import StoreAddress
+from station.model.place_map import PlaceMap
 from station.places.naming import suggest
 from station.places.naming.close_views import close_views
 from station.places.naming.plates import find_plates, plate_name, reads_like_a_plate
@@ -24,6 +26,7 @@ from station.places.naming.sightings import suggestions
 from station.places.naming.suggest import plate_names, sticker_names, suggest_names
 from station.places.rooms.planning import with_plan, with_suggestions_of
 from station.vision.printed import PrintedLine, PrintReader
+from station.workers import library_jobs
 from station.workers.library_jobs import LibraryJobs
 from tests.support.plans import WALL_X, two_rooms
 from tests.support.plates import map_of_walls, plate_picture
@@ -89,15 +92,42 @@ async def test_plates_are_read_once_a_map_is_there_and_its_rooms_have_their_name
     place_map = replace(map_of_walls([plate_picture("Pantry")], [(WALL_X - 1.5, BESIDE_DOOR_Y)], [1.5]), plan=plan)
     address = StoreAddress(tmp_path)
     MapStore(address).save(place_map)
-    said: list[str] = []
-    found = LibraryJobs(lambda progress: said.append(progress.message)).read_plates(address, place_map.id)
-    assert said == ["reading door plates, picture 1 of 1"]
     maps = Maps(address, Events())
     await maps.activate([place_map.id])
-    await maps.suggest(place_map.id, "door plate", found)
-    in_use = maps.active.require_first().place_map
-    assert [(s.room, s.name) for s in in_use.suggestions] == [("room-k", "Pantry")]
+    await maps.rename_room("room-l", "Hall")
+    said: list[str] = []
+    jobs = LibraryJobs(lambda progress: said.append(progress.message))
+    assert jobs.read_plates(address, place_map.id)
+    assert said == ["reading door plates, picture 1 of 1"]
+    await maps.refresh(place_map.id)
+
+    def suggested() -> list[tuple[str, str]]:
+        return [(s.room, s.name) for s in maps.active.require_first().place_map.suggestions]
+
+    assert suggested() == [("room-k", "Pantry")]
+    (named,) = await maps.changes()  # a person's own; that plates were read is none
+    await maps.undo(named.version)
+    assert maps.active.require_first().room("room-l").name != "Hall" and suggested() == [("room-k", "Pantry")]
     assert await maps.changes() == ()
+
+
+@pytest.mark.computing
+def test_plates_of_a_map_that_was_made_anew_meanwhile_are_left_out(
+    reader: PrintReader, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    walls = map_of_walls([plate_picture("Pantry")], [(WALL_X - 1.5, BESIDE_DOOR_Y)], [1.5])
+    place_map, store = replace(walls, plan=two_rooms()), MapStore(StoreAddress(tmp_path))
+    store.save(place_map)
+    other = replace(walls.navigation.keyframes, encoded=(plate_picture("Office"),))
+
+    def while_it_is_made_anew(place_map: PlaceMap, plan: FloorPlan, say: object) -> tuple[NameSuggestion, ...]:
+        store.save(replace(place_map, navigation=replace(place_map.navigation, keyframes=other)))
+        return plate_names(place_map, plan)
+
+    monkeypatch.setattr(library_jobs, "plate_names", while_it_is_made_anew)
+    with pytest.raises(DataError, match="made anew"):
+        LibraryJobs(lambda _: None).read_plates(StoreAddress(tmp_path), place_map.id)
+    assert store.load(place_map.id).suggestions == ()
 
 
 @pytest.mark.computing
