@@ -197,3 +197,14 @@ async def test_a_map_of_drives_that_do_not_fit_says_which(tmp_path: Path) -> Non
         job = (await desk.http.post("/maps", json={"navigations": ["nav-1", "nav-2"]})).json()
         done = await wait_for(desk, f"/jobs/{job['id']}", lambda j: j["state"] != "running")
         assert done["state"] == "failed" and "nav-2" in done["message"]
+
+
+async def test_a_map_is_in_use_while_plates_are_read_and_that_can_be_cancelled(tmp_path: Path) -> None:
+    keep_navigation(tmp_path, "nav-1")
+    async with running_station(1, tmp_path) as desk:
+        job = (await desk.http.post("/maps", json={"navigations": ["nav-1"]})).json()
+        await wait_for(desk, f"/jobs/{job['id']}", lambda j: "door plates" in j["message"])
+        (made,) = (await desk.http.get("/maps")).json()
+        assert made["first"]
+        assert (await desk.http.delete(f"/jobs/{job['id']}")).json()["state"] == "cancelled"
+        assert (await desk.http.get("/maps")).json() == [made]
