@@ -54,6 +54,7 @@ TIME = st.integers(-MAX_TIME_NS, MAX_TIME_NS)
 COUNT = st.integers(0, MAX_COUNT)
 NEXT = st.integers(-1, MAX_COUNT)
 ANY_FLOAT = st.floats(allow_nan=False)
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
 NAME = st.text(min_size=1, max_size=64).filter(is_printable)
 SENTENCE = st.text(max_size=1000)
 VECTOR = st.tuples(ANY_FLOAT, ANY_FLOAT, ANY_FLOAT)
@@ -122,7 +123,7 @@ ROBOT_MESSAGES: st.SearchStrategy[RobotMessage] = st.one_of(
         samples=st.lists(st.builds(ImuSample, TIME, VECTOR, VECTOR), min_size=1, max_size=8).map(tuple),
     ),
     st.builds(Depth, seq=COUNT, t_robot_ns=TIME, png=st.binary(max_size=2000)),
-    st.builds(DriveApplied, t_robot_ns=TIME, linear=ANY_FLOAT, angular=ANY_FLOAT),
+    st.builds(DriveApplied, t_robot_ns=TIME, linear=FINITE, angular=FINITE),
     st.builds(
         Status,
         t_robot_ns=TIME,
