@@ -20,7 +20,7 @@ CELL_M = 0.06
 MARGIN_M = 0.06  # beyond the robot's radius
 COMFORT_M = 0.35  # clearance beyond which more room is not worth a detour
 SPACING_M = 0.05  # between points of a finished route
-ROUTE_KINDS = ("mapping", "middles", "second", "local", "tour", "triangle_a", "triangle_b", "triangle_c")
+ROUTE_KINDS = ("mapping", "thorough", "second", "local", "tour", "triangle_a", "triangle_b", "triangle_c")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,16 +141,17 @@ def plan_route(
 ) -> Route:
     """Plan a route of a kind; another seed gives another route of the same kind.
 
-    `mapping`: a loop through every room and back. `middles`: to the middle of every room, where the driver turns once
-    round, and back. `second`: every room in another order and the other way round.
-    `local`: a loop in the room of the start. `tour`: each room both ways round. `triangle_a|b|c`: for the world `room`.
-    With a start (x, y) m the route begins there.
+    `mapping`: a loop through every room and back. `thorough`: the same with one turn in each room. `second`: every room
+    in another order and the other way round. `local`: a loop in the room of the start. `tour`: each room both ways
+    round. `triangle_a|b|c`: for the world `room`. With a start (x, y) m the route begins there.
 
     Raises:
         ConfigError: unknown kind, or no way through the world.
     """
     if kind not in ROUTE_KINDS:
         raise ConfigError(f"route {kind!r} is unknown; choose one of {', '.join(ROUTE_KINDS)}")
+    if kind == "thorough":
+        return looking_around(plan_route(world, "mapping", seed, radius_m, start), world)
     space = FreeSpace(world, radius_m)
     rng = np.random.default_rng([world.seed, seed, sum(map(ord, kind))])
     if kind.startswith("triangle"):
@@ -165,15 +166,12 @@ def plan_route(
         scale = 0.55 if kind == "mapping" else float(rng.uniform(0.42, 0.6))
         shift = rng.normal(0, 0.08 if seed or kind != "mapping" else 0.02, 2)
         entry = stops[-1] if stops else np.array(world.start[:2])
-        if kind == "middles":
-            stops += [_middle(space, world.rooms[room])]
-        elif not is_return:
+        if not is_return:
             stops += _ring(space, world.rooms[room], entry, turn, scale, shift)
         if kind == "tour" and not is_return:
             stops += _ring(space, world.rooms[room], stops[-1], -turn, 0.8 * scale, -shift)[1:]
     stops.append(stops[0])
-    route = _finish(space, kind, stops)
-    return looking_around(route, world) if kind == "middles" else route
+    return _finish(space, kind, stops)
 
 
 def looking_around(route: Route, world: World) -> Route:
@@ -225,12 +223,6 @@ def _ring(
     angles = first + turn * np.linspace(0, 2 * np.pi, 9)
     ring = centre + np.column_stack([np.cos(angles), np.sin(angles)]) * half
     return [space.nearest_free(p) for p in ring]
-
-
-def _middle(space: FreeSpace, room: Room) -> FloatArray:
-    """The stop nearest to the middle of a room's free floor."""
-    free = space.free_points_in(room)
-    return space.nearest_free((free.min(0) + free.max(0)) / 2 if len(free) else np.array(room.centre))
 
 
 def _triangle(space: FreeSpace, kind: str, start: tuple[float, float] | None) -> Route:

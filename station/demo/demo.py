@@ -196,8 +196,8 @@ def write_settings(folder: Path) -> Path:
 def record_mapping(demo: Demo, name: str) -> str:
     """Record one navigation while the scripted driver looks at all rooms; its id."""
     navigation: str = demo.station.call("POST", "/navigations", {"name": name})["id"]
-    demo.say(f"{name}: driving into every room, where it turns once round (about a minute)")
-    start_driver(demo, "middles")
+    demo.say(f"{name}: driving round every room, and turning once round in it (under two minutes)")
+    start_driver(demo, "thorough")
     demo.programs.wait("driver", DRIVE_TIMEOUT_S)
     demo.station.call("POST", f"/navigations/{navigation}/stop")
     demo.say(f"{name}: driven; SLAM finds trajectory and landmarks (half a minute, more on a busy machine)")
