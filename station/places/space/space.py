@@ -29,10 +29,8 @@ CELL_M = 0.1
 PASSAGE_M = 1.0  # what is narrower ends the map where the path did not go through: doors are some 0.9 m wide
 DRIVEN_M = 0.2  # this near the path space is free: the robot was there itself
 AT_HAND_M = 0.4  # ... and known, also behind the cameras, unless it was seen to lie beyond a door
-SEEN_UP_TO, BEFORE_M = (
-    0.9,
-    0.2,
-)  # a ray ends this share of the way to its point, less this: sights end short of landmarks
+SEEN_UP_TO = 0.9  # a ray ends this share of the way to its point,
+BEFORE_M = 0.2  # and this before it: sights end short of landmarks
 STEPS = 30  # along a ray
 CARRIED_AT_HAND_M = 1.0  # a rig in somebody's hands swings about, and never looked behind itself
 
