@@ -132,7 +132,7 @@ class LibraryJobs(LibraryProgram):
         if place_map.plan is None or not can_read_print():
             return False
         found = plate_names(place_map, place_map.plan, lambda text: self._emit(Progress(0.95, text)))
-        if not found and not _plates_of(place_map):
+        if not found:  # a reader that failed finds none either: what was read of these pictures before stays
             return False
 
         def with_plates(now: PlaceMap) -> PlaceMap:

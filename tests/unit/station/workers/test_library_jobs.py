@@ -92,7 +92,9 @@ def test_other_maps_are_asked_until_one_knows_a_room(tmp_path: Path, monkeypatch
 
 
 @pytest.mark.computing
-def test_names_read_from_plates_stay_while_the_same_map_is_built_again(tmp_path: Path) -> None:
+def test_names_read_from_plates_stay_while_the_same_map_is_built_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     save_navigation(made_up_navigation(), tmp_path / "drive")
     map_id = build(tmp_path)
     store = MapStore(tmp_path / "maps")
@@ -100,6 +102,9 @@ def test_names_read_from_plates_stay_while_the_same_map_is_built_again(tmp_path:
     store.edit(map_id, partial(with_suggestions_of, source="door plate", found=[read]), "plates were read")
     assert said_changes(store, map_id) == []  # nobody can take back what nobody did
     assert build(tmp_path) == map_id
+    assert [s.name for s in store.load(map_id).suggestions] == ["Pantry"]
+    monkeypatch.setattr(library_jobs, "plate_names", lambda *_: ())  # as a reader that failed
+    assert not LibraryJobs(lambda _: None).read_plates(StoreAddress(tmp_path / "maps"), map_id)
     assert [s.name for s in store.load(map_id).suggestions] == ["Pantry"]
 
 
