@@ -8,13 +8,13 @@ from scipy import ndimage
 from shared.geometry import FloatArray, yaw_rotation
 from station.places.rooms.lengths import WALL_M
 from station.places.rooms.sides import best_runs
-from station.places.rooms.surfaces import SIDES, Seen, find_surfaces
+from station.places.rooms.surfaces import SIDES, Seen, find_piece_classes
 from station.places.rooms.wall_model import WallModel
 
 COARSE, FINE = np.radians(np.arange(0.0, 90.0, 1.0)), np.radians(np.arange(-1.0, 1.01, 0.1))
 BIN_M = 0.5 * WALL_M
 MOST_POINTS = 20_000
-TURNS = np.radians(np.arange(-4.0, 4.1, 1.0))  # of the axes by landmarks, tried on walls
+TURNS = np.radians(np.arange(-4.0, 4.1, 0.5))  # of the axes by landmarks, tried on walls: their peak is a degree wide
 NEAR_PLANES = 7  # of which the best counts
 
 
@@ -55,12 +55,12 @@ def turn_to_walls(seen: Seen, model: WallModel) -> float:
 
 def _wall_length(seen: Seen, model: WallModel) -> float:
     """Sum of squares of what the walls of the best planes weigh: a few long ones count more than many short ones."""
-    surfaces = find_surfaces(seen)
-    if surfaces is None:
+    classes = find_piece_classes(seen)
+    if classes is None:
         return 0.0
     table, total = np.array(model.wall), 0.0
     for side in SIDES:
-        weight, _, _ = best_runs(table[surfaces.classes[side]])
+        weight, _, _ = best_runs(table[classes[side]])
         total += float((weight[weight == ndimage.maximum_filter1d(weight, NEAR_PLANES)] ** 2).sum())
     return total
 

@@ -83,23 +83,29 @@ class Surfaces:
 
 
 def find_surfaces(seen: Seen) -> Surfaces | None:
-    """Evidence of one navigation; None where it saw nothing, or drove too far for one flat: through a whole quarter."""
-    if not len(seen.path) or not len(seen.sights):
+    """Evidence of one navigation; None where it saw nothing, or drove through a whole quarter."""
+    grid = _Grid.around(seen)
+    if grid is None:
         return None
-    low = np.floor((seen.path.min(axis=0) - FARTHEST_M) / PIECE_M) * PIECE_M
-    shape = np.ceil((seen.path.max(axis=0) + FARTHEST_M - low) / PIECE_M).astype(int)
-    if np.prod(shape.astype(float)) > MAX_CELLS:
-        return None
-    grid = _Grid(low, (int(shape[0]), int(shape[1])))
+    driven = grid.cells(seen.path)
+    area = np.where(driven, DRIVEN, _count_class(grid.passed(seen.sights), AREA_COUNTS))
+    passed = {0: _within(driven), 1: _within(driven.T)}
+    return Surfaces(seen, grid.low, _piece_classes(seen, grid), area, driven, passed)
+
+
+def find_piece_classes(seen: Seen) -> dict[Side, npt.NDArray[np.intp]] | None:
+    """The `classes` of its surfaces alone."""
+    grid = _Grid.around(seen)
+    return None if grid is None else _piece_classes(seen, grid)
+
+
+def _piece_classes(seen: Seen, grid: _Grid) -> dict[Side, npt.NDArray[np.intp]]:
     crossed = [grid.crossed(seen.sights, axis) + COUNTS[-1] * grid.driven_through(seen.path, axis) for axis in (0, 1)]
     classes = {}
     for axis, sign in SIDES:
         on = grid.landmarks_on(seen.p[sign * seen.towards[:, axis] > 0], axis)
         classes[axis, sign] = _class_of(on, crossed[axis], _looked_at(crossed[axis], sign))
-    driven = grid.cells(seen.path)
-    area = np.where(driven, DRIVEN, _count_class(grid.passed(seen.sights), AREA_COUNTS))
-    passed = {0: _within(driven), 1: _within(driven.T)}
-    return Surfaces(seen, low, classes, area, driven, passed)
+    return classes
 
 
 def _within(driven: Cells) -> Cells:
@@ -162,6 +168,15 @@ class _Grid:
     low: FloatArray
     shape: tuple[int, int]  # cells
 
+    @classmethod
+    def around(cls, seen: Seen) -> _Grid | None:
+        """None where nothing was seen, or the drive is too long for one flat."""
+        if not len(seen.path) or not len(seen.sights):
+            return None
+        low = np.floor((seen.path.min(axis=0) - FARTHEST_M) / PIECE_M) * PIECE_M
+        shape = np.ceil((seen.path.max(axis=0) + FARTHEST_M - low) / PIECE_M).astype(int)
+        return None if np.prod(shape.astype(float)) > MAX_CELLS else cls(low, (int(shape[0]), int(shape[1])))
+
     def landmarks_on(self, p: FloatArray, axis: int) -> FloatArray:
         """(planes, pieces) of points (n, 2), within one and a half LINE_M of a plane."""
         plane = np.round((p[:, axis] - self.low[axis]) / LINE_M).astype(np.int64)
@@ -194,11 +209,8 @@ class _Grid:
         count = np.maximum(np.hypot(d[:, 0], d[:, 1]) / LINE_M, 1.0).astype(np.int64)
         of, step = _repeated(count)
         p = lines[of, :2] + ((step + 0.5) / count[of])[:, None] * d[of]
-        found = np.zeros(self.shape)
         i, j = np.floor((p - self.low) / PIECE_M).astype(np.int64).T
-        inside = (i >= 0) & (j >= 0) & (i < self.shape[0]) & (j < self.shape[1])
-        np.add.at(found, (i[inside], j[inside]), 1)
-        return np.round(9 * ndimage.uniform_filter(found, 3, mode="constant"))
+        return np.round(9 * ndimage.uniform_filter(_counts(i, j, self.shape), 3, mode="constant"))
 
     def cells(self, p: FloatArray) -> Cells:
         """(X, Y) those with a point (n, 2) in them or beside them."""
@@ -207,13 +219,17 @@ class _Grid:
         return np.asarray(ndimage.binary_dilation(found, np.ones((3, 3))), dtype=np.bool_)
 
     def _counted(self, axis: int, plane: IntArray, piece: IntArray) -> FloatArray:
-        count = np.zeros((2 * self.shape[axis] + 1, self.shape[1 - axis]))
-        inside = (plane >= 0) & (piece >= 0) & (plane < count.shape[0]) & (piece < count.shape[1])
-        np.add.at(count, (plane[inside], piece[inside]), 1)
-        return count
+        return _counts(plane, piece, (2 * self.shape[axis] + 1, self.shape[1 - axis]))
 
 
 BODY_LEAP_M = 0.5  # between two poses: nobody drove there
+
+
+def _counts(i: IntArray, j: IntArray, shape: tuple[int, int]) -> FloatArray:
+    """(X, Y) how often each pair of indices (n,) occurs; those outside are left out."""
+    inside = (i >= 0) & (j >= 0) & (i < shape[0]) & (j < shape[1])
+    at = i[inside] * shape[1] + j[inside]
+    return np.bincount(at, minlength=shape[0] * shape[1]).reshape(shape).astype(np.float64)
 
 
 def _repeated(count: IntArray) -> tuple[IntArray, IntArray]:
