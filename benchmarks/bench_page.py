@@ -4,7 +4,8 @@ python -m benchmarks.bench_page [--seconds 30] [--results FILE]          (make b
 
 A robot-server with pushed devices (30 fps, IMU) runs here, the station in a process of its own, the page in headless
 Chromium with software rendering. SLAM is made up: it costs 10 ms a frame and sends 50,000 points, then 500 a second.
-Then, with a station of its own: 200,000 points turned by hand, and how soon a fresh page shows what one came for.
+Then, with a station of its own: 200,000 points turned by hand, and how soon a fresh page shows what one came for. Then,
+with another one, whose map is a home of 1000 rooms: how soon its plan is drawn.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import urllib.request
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -29,6 +31,7 @@ import numpy as np
 from playwright.async_api import Browser, Page, async_playwright
 
 from benchmarks.page_cloud import measure_first_paint, measure_orbit
+from benchmarks.page_plan import measure_plan, store_large_home
 from benchmarks.result import Figure, Run, add_results_option, share
 from robot.devices.ports import CapturedFrame
 from shared.calibration import Calibration
@@ -152,26 +155,31 @@ async def measure_drive(page: Page, bench: Bench, presses: int) -> tuple[list[fl
 
 
 async def run(seconds: float) -> dict[str, Any]:
-    """Both parts, one after the other: each with a robot, a station and a browser of its own."""
+    """All parts, one after the other: each with a robot, a station and a browser of its own."""
 
     async def measure(address: str, bench: Bench, captured: dict[int, float]) -> dict[str, Any]:
         return await _measure(address, bench, captured, seconds)
 
     return await _with_station("benchmarks.bench_page:BusySlam", measure) | {
-        "cloud_200k": await _with_station("benchmarks.page_cloud:LargeCloud", _measure_cloud)
+        "cloud_200k": await _with_station("benchmarks.page_cloud:LargeCloud", _measure_cloud),
+        "plan_1000": await _with_station("benchmarks.bench_page:BusySlam", _measure_plan, store_large_home),
     }
 
 
 Measurement = Callable[[str, Bench, dict[int, float]], Awaitable[dict[str, Any]]]
 
 
-async def _with_station(slam: str, measure: Measurement) -> dict[str, Any]:
+async def _with_station(
+    slam: str, measure: Measurement, furnish: Callable[[Path], object] = lambda _: None
+) -> dict[str, Any]:
+    """`furnish`: puts something into the station's folder of data."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     address = f"http://127.0.0.1:{port}"
     captured: dict[int, float] = {}
     with tempfile.TemporaryDirectory() as data:
+        furnish(Path(data))
         async with running_robot() as bench:
             bench.motors.stop()
             filming = asyncio.create_task(film(bench, captured))
@@ -201,8 +209,7 @@ async def _browser() -> AsyncIterator[Browser]:
             await browser.close()
 
 
-async def _recording_page(browser: Browser, address: str) -> Page:
-    """A page with live video while a drive is recorded and its cloud is shown."""
+async def _new_page(browser: Browser, address: str) -> Page:
     page = await browser.new_page(viewport={"width": 1440, "height": 900})
     for _ in range(200):
         try:
@@ -210,6 +217,12 @@ async def _recording_page(browser: Browser, address: str) -> Page:
             break
         except Exception:  # the station is not up yet
             await asyncio.sleep(0.1)
+    return page
+
+
+async def _recording_page(browser: Browser, address: str) -> Page:
+    """A page with live video while a drive is recorded and its cloud is shown."""
+    page = await _new_page(browser, address)
     await page.wait_for_selector("#video[data-seq]")
     await page.wait_for_selector("#link[data-state=good]")
     request = urllib.request.Request(address + "/navigations", method="POST")
@@ -228,6 +241,17 @@ async def _measure_cloud(address: str, _bench: Bench, _captured: dict[int, float
         await page.close()
         first = await measure_first_paint(browser, address)
     return {"cloud": points, "orbit": orbit, "first": first, "load_average": round(os.getloadavg()[0], 1)}
+
+
+async def _measure_plan(address: str, _bench: Bench, _captured: dict[int, float]) -> dict[str, Any]:
+    async with _browser() as browser:
+        page = await _new_page(browser, address)
+        await page.close()
+        request = urllib.request.Request(
+            f"{address}/maps/active", b'{"id": "map"}', {"Content-Type": "application/json"}, method="PUT"
+        )
+        await asyncio.to_thread(lambda: urllib.request.urlopen(request, timeout=20).read())
+        return await measure_plan(browser, address)
 
 
 async def _measure(address: str, bench: Bench, captured: dict[int, float], seconds: float) -> dict[str, Any]:
@@ -263,7 +287,7 @@ def page_weight_mb() -> float:
 def table(result: dict[str, Any]) -> str:
     """What was measured beside what was asked for."""
     drive, video, cloud = result["drive_event_to_motor_ms"], result["capture_to_canvas_ms"], result["cloud_200k"]
-    first, refused = cloud["first"], result["refused_for_stale_video"]
+    first, refused, plan = cloud["first"], result["refused_for_stale_video"], result["plan_1000"]
     rows = [
         ("drive event to motor command, p50", f"{drive['p50']} ms", "5 ms"),
         ("drive event to motor command, p99", f"{drive['p99']} ms (worst {drive['worst']})", "25 ms"),
@@ -276,6 +300,11 @@ def table(result: dict[str, Any]) -> str:
         ("first useful paint: place and picture", f"{max(first['place_ms'], first['picture_ms'])} ms", "1500 ms"),
         ("first contentful paint", f"{first['first_contentful_paint_ms']} ms", "-"),
         ("all 200,000 points on the screen", f"{first['cloud_ms']} ms", "-"),
+        (
+            f"plan of {plan['rooms']:.0f} rooms drawn",
+            f"{plan['drawn_ms']:.0f} ms (read {plan['read_ms']:.0f})",
+            "1000 ms",
+        ),
         ("page without pictures, uncompressed", f"{result['page_mb']} MB", "1.5 MB"),
         ("load average before, cores", f"{result['load_before']}, {result['cores']}", "-"),
     ]
@@ -298,7 +327,7 @@ def main() -> None:
 def figures(result: dict[str, Any]) -> list[Figure]:
     """What is asked of the page."""
     drive, video, cloud = result["drive_event_to_motor_ms"], result["capture_to_canvas_ms"], result["cloud_200k"]
-    first, refused = cloud["first"], result["refused_for_stale_video"]
+    first, refused, plan = cloud["first"], result["refused_for_stale_video"], result["plan_1000"]
     paint_ms = max(first["place_ms"], first["picture_ms"])
     return [
         Figure("drive event in the page to motor command, median", drive["p50"], "ms", 5, of=drive["count"]),
@@ -309,6 +338,7 @@ def figures(result: dict[str, Any]) -> list[Figure]:
         Figure("pictures drawn", result["frames_per_s"], "/s", at_least=20),
         Figure("redraws while 200,000 points are turned", cloud["orbit"]["redraws_per_s"], "/s", at_least=10),
         Figure("first useful paint: place and picture", paint_ms, "ms", 1500),
+        Figure(f"plan of {plan['rooms']:.0f} rooms: asked for, read and drawn", plan["drawn_ms"], "ms", 1000),
         Figure("page without pictures, uncompressed", result["page_mb"], "MB", 1.5),
     ]
 
