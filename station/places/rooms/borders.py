@@ -10,11 +10,12 @@ import numpy as np
 
 from shared.geometry import FloatArray, IntArray
 from station.places.rooms.rectangles import Rectangle
-from station.places.rooms.sides import DOOR_PIECES, Sides, gaps_of, likeliest_walls, score_of
+from station.places.rooms.sides import DOOR_PIECES, Sides, gaps_of
 from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Surfaces
 from station.places.rooms.wall_model import WallModel
 
 THICK_M = 0.35  # a wall at most, and errors of both its faces
+PASSED = -1e4  # nats for a wall where the body was, in sums
 LEAST_DOOR_M = 0.45  # no robot passes a narrower gap
 
 
@@ -56,24 +57,40 @@ def find_borders(
     joined, passages, lead = [], [], {}
     for (a, first), (b, second), axis in _neighbours(rectangles):
         low, high = _shorter(first, second, axis)
-        odds = np.zeros((1, high - low))
+        odds = np.zeros(high - low)
         for r, sign in ((first, -1), (second, 1)):
             own = r.pieces(axis)
             part = slice(max(own.start, low), min(own.stop, high))
-            odds[0, part.start - low : part.stop - low] += sides.odds[axis, sign][r.plane((axis, sign)), part]
-        is_wall = likeliest_walls(odds, model)
-        odds_of_two = float(score_of(is_wall, odds, model).sum())
-        lead[a, b] = abs(odds_of_two)
-        widest = max((end - begin for begin, end in gaps_of(is_wall[0])), default=0)
-        if odds_of_two <= 0 and widest > DOOR_PIECES[-1]:  # an opening; a door parts rooms
+            odds[part.start - low : part.stop - low] += sides.odds[axis, sign][r.plane((axis, sign)), part]
+        odds_of_wall, door = wall_with_door(odds, model)
+        lead[a, b] = abs(odds_of_wall)
+        if odds_of_wall <= 0:
             joined.append((a, b))
-        across = 0.5 * (edges[a, 2 * axis + 1] + edges[b, 2 * axis])
-        begin, end = _shared(first, second, axis)
-        for gap in gaps_of(is_wall[0]):
-            gap_begin, gap_end = max(low + gap[0], begin), min(low + gap[1], end)
-            if (gap_end - gap_begin) * PIECE_M >= LEAST_DOOR_M:
-                passages.append(Passage(a, b, _line(surfaces, axis, across, gap_begin, gap_end)))
+        elif door is not None:
+            across = 0.5 * (edges[a, 2 * axis + 1] + edges[b, 2 * axis])
+            begin, end = _shared(first, second, axis)
+            door_begin, door_end = max(low + door[0], begin), min(low + door[1], end)
+            if (door_end - door_begin) * PIECE_M >= LEAST_DOOR_M:
+                passages.append(Passage(a, b, _line(surfaces, axis, across, door_begin, door_end)))
     return Borders(tuple(joined), lead, tuple(passages))
+
+
+def wall_with_door(odds: FloatArray, model: WallModel) -> tuple[float, tuple[int, int] | None]:
+    """Nats for a wall with one door at most, against nothing at all; and where that door begins and ends.
+
+    Args:
+        odds: (pieces,) for a wall, minus infinity where the body passed.
+    """
+    bounded = np.maximum(odds, PASSED)
+    total, before = float(bounded.sum()), np.concatenate([[0.0], np.cumsum(bounded)])
+    best: tuple[float, tuple[int, int] | None] = total, None
+    for pieces in DOOR_PIECES:
+        if pieces <= len(odds):
+            with_door = total - (before[pieces:] - before[:-pieces]) - model.door
+            k = int(np.argmax(with_door))
+            if with_door[k] > best[0]:
+                best = float(with_door[k]), (k, k + pieces)
+    return best
 
 
 def walls_of(rectangles: Sequence[Rectangle], edges: FloatArray, surfaces: Surfaces, sides: Sides) -> FloatArray:

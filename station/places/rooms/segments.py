@@ -14,9 +14,9 @@ from shared.geometry import FloatArray
 from station.places.rooms.borders import Passage, find_borders, rectangles_at, settled, walls_of
 from station.places.rooms.evidence import Ground
 from station.places.rooms.lengths import DOOR_M
-from station.places.rooms.rectangles import find_rectangles
-from station.places.rooms.sides import weigh_sides
-from station.places.rooms.surfaces import Surfaces
+from station.places.rooms.rectangles import Rectangle, find_rectangles
+from station.places.rooms.sides import Sides, weigh_sides
+from station.places.rooms.surfaces import PIECE_M, SIDES, Surfaces
 from station.places.rooms.wall_model import WallModel
 from station.places.space.space import Cells
 
@@ -89,7 +89,8 @@ def _lay_out(surfaces: Surfaces | None, model: WallModel) -> _Layout:
     packed = find_rectangles(surfaces, sides, model)
     edges = settled(packed.rectangles, surfaces)
     borders = find_borders(packed.rectangles, edges, surfaces, sides, model)
-    passages = (*borders.passages, *_passed_unseen(surfaces, edges, borders.passages))
+    unseen = _passed_unseen(surfaces, sides, packed.rectangles, edges, borders.passages)
+    passages = (*borders.passages, *unseen)
     leads = (*enumerate(packed.lead), *((k, lead) for pair, lead in borders.lead.items() for k in pair))
     return _Layout(edges, borders.joined, passages, leads, walls_of(packed.rectangles, edges, surfaces, sides))
 
@@ -105,9 +106,15 @@ def _leads(layout: _Layout, room_of: Sequence[int]) -> dict[int, float]:
     return least
 
 
-def _passed_unseen(surfaces: Surfaces, edges: FloatArray, known: Sequence[Passage]) -> list[Passage]:
-    """Where the body went from one rectangle into another and no border shows a gap: it passed all the same."""
-    at = rectangles_at(edges, surfaces.seen.path)
+def _passed_unseen(
+    surfaces: Surfaces, sides: Sides, rectangles: Sequence[Rectangle], edges: FloatArray, known: Sequence[Passage]
+) -> list[Passage]:
+    """Where the body went from one rectangle into another and no border shows a gap: it passed all the same.
+
+    What lies between them is thicker than a wall, since furniture hides one face of it. The door is in the other.
+    """
+    path = surfaces.seen.path
+    at = rectangles_at(edges, path)
     inside = np.flatnonzero(at >= 0)
     pairs = {frozenset((p.a, p.b)) for p in known}
     found = []
@@ -115,11 +122,30 @@ def _passed_unseen(surfaces: Surfaces, edges: FloatArray, known: Sequence[Passag
         a, b = int(at[begin]), int(at[end])
         if a != b and frozenset((a, b)) not in pairs:
             pairs.add(frozenset((a, b)))
-            middle = surfaces.seen.path[begin : end + 1].mean(axis=0)
-            d = surfaces.seen.path[end] - surfaces.seen.path[begin]
-            across = np.array([0.0, 1.0]) if abs(d[0]) > abs(d[1]) else np.array([1.0, 0.0])
-            found.append(Passage(a, b, middle + 0.5 * DOOR_MIDDLE_M * np.array([[-1.0], [1.0]]) * across))
+            ways = ((a, path[begin : begin + 2]), (b, path[end : end - 2 : -1]))
+            _, ends = max(
+                (_crossed_wall(surfaces, sides, rectangles[r], edges[r], *way) for r, way in ways), key=lambda w: w[0]
+            )
+            found.append(Passage(a, b, ends))
     return found
+
+
+def _crossed_wall(
+    surfaces: Surfaces, sides: Sides, r: Rectangle, its_edges: FloatArray, inner: FloatArray, outer: FloatArray
+) -> tuple[float, FloatArray]:
+    """Nats for a wall beside where the body crossed a side of a rectangle, and a door there (2, 2) m."""
+    beyond = [sign * (its_edges[k] - outer[axis]) for k, (axis, sign) in enumerate(SIDES)]
+    k = int(np.argmax(beyond))
+    axis, _ = SIDES[k]
+    step = outer[axis] - inner[axis]
+    share = 0.0 if step == 0.0 else float(np.clip((its_edges[k] - inner[axis]) / step, 0.0, 1.0))
+    middle = inner + share * (outer - inner)
+    middle[axis] = its_edges[k]
+    along = np.array([0.0, 0.5 * DOOR_MIDDLE_M] if axis == 0 else [0.5 * DOOR_MIDDLE_M, 0.0])
+    odds = sides.odds[SIDES[k]][r.plane(SIDES[k])]
+    away = np.abs(surfaces.low[1 - axis] + PIECE_M * (np.arange(len(odds)) + 0.5) - middle[1 - axis])
+    beside = (away > 0.5 * DOOR_MIDDLE_M) & (away < 1.5 * DOOR_MIDDLE_M) & np.isfinite(odds)
+    return float(odds[beside].sum()), np.stack([middle - along, middle + along])
 
 
 def _rooms_of(count: int, joined: Iterable[tuple[int, int]]) -> list[int]:

@@ -93,10 +93,18 @@ def find_surfaces(seen: Seen) -> Surfaces | None:
     return Surfaces(seen, grid.low, _piece_classes(seen, grid), area, driven, passed)
 
 
-def find_piece_classes(seen: Seen) -> dict[Side, npt.NDArray[np.intp]] | None:
-    """The `classes` of its surfaces alone."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Pieces:
+    """Of `Surfaces` what is of planes alone."""
+
+    low: FloatArray
+    classes: dict[Side, npt.NDArray[np.intp]]
+
+
+def find_pieces(seen: Seen) -> Pieces | None:
+    """None where `find_surfaces` gives none."""
     grid = _Grid.around(seen)
-    return None if grid is None else _piece_classes(seen, grid)
+    return None if grid is None else Pieces(grid.low, _piece_classes(seen, grid))
 
 
 def _piece_classes(seen: Seen, grid: _Grid) -> dict[Side, npt.NDArray[np.intp]]:

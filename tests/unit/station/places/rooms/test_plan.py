@@ -12,8 +12,11 @@ from shared.geometry import FloatArray, se3, sim3, transform, yaw_rotation
 from station.model.floor_plan import FloorPlan, PlanEdits
 from station.model.navigation import Navigation
 from station.model.place_map import Place
+from station.places.rooms.axes import turn_to_walls
 from station.places.rooms.belonging import rooms_of_places
 from station.places.rooms.plan import make_floor_plan
+from station.places.rooms.surfaces import Seen
+from station.places.rooms.wall_model import wall_model
 from tests.support.flats import DOOR, ELL, TWO_ROOMS, WAY_OF_ELL, WAY_OF_TWO, moved, navigate
 
 LEFT, RIGHT = np.array([[1.0, 3.0, 0.0]]), np.array([[7.0, 1.0, 0.0]])
@@ -64,6 +67,12 @@ def test_an_l_shaped_room_is_one_room_without_its_missing_corner() -> None:
     assert len(plan.rooms) == 1 and not plan.doors
     assert plan.rooms[0].area == pytest.approx(18.75, rel=0.1)
     assert plan.rooms_at(np.array([[4.0, 4.0, 0.0]])).tolist() == [-1]
+
+
+@pytest.mark.parametrize("turn_deg", [-1.3, 0.25, 2.8])
+def test_axes_lie_along_walls_to_a_tenth_of_a_degree(turn_deg: float) -> None:
+    askew = Seen.of(two_rooms(), np.eye(3)).turned(np.radians(turn_deg))
+    assert np.degrees(turn_to_walls(askew, wall_model())) == pytest.approx(-turn_deg, abs=0.1)
 
 
 @pytest.mark.parametrize("yaw", [0.3, 1.2, -2.5])

@@ -6,12 +6,15 @@ import functools
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from station.places.rooms.borders import find_borders, settled
-from station.places.rooms.plan import make_floor_plan
+from station.places.rooms.borders import find_borders, settled, wall_with_door
+from station.places.rooms.plan import plan_along
 from station.places.rooms.rectangles import Packed, Rectangle, _Choices, _packed, find_rectangles
-from station.places.rooms.sides import Sides, weigh_sides
-from station.places.rooms.surfaces import LINE_M, PIECE_M, Seen, Surfaces, find_surfaces
+from station.places.rooms.segments import _passed_unseen
+from station.places.rooms.sides import DOOR_PIECES, Sides, weigh_sides
+from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Seen, Surfaces, find_surfaces
 from station.places.rooms.wall_model import wall_model
 from tests.support.flats import DOOR, ELL, TWO_ROOMS, WAY_OF_ELL, WAY_OF_TWO, Wall, navigate
 
@@ -77,10 +80,48 @@ def test_a_wall_with_a_door_parts_two_rooms_and_an_open_side_does_not() -> None:
     assert len(borders.joined) >= len(found.rectangles) - 1
 
 
+def test_a_border_passed_in_one_place_has_a_door_there() -> None:
+    odds = np.full(30, 2.0)
+    odds[12:20] = -np.inf
+    nats, door = wall_with_door(odds, wall_model())
+    assert nats > 0.0 and door is not None
+    assert door[0] <= 12 and door[1] >= 20
+
+
+def test_a_border_passed_in_two_places_is_an_opening_though_a_cupboard_stands_between() -> None:
+    """Two doors side by side between the same rooms: nobody builds that."""
+    odds = np.full(30, 2.0)
+    odds[3:9] = odds[16:22] = -np.inf
+    assert wall_with_door(odds, wall_model())[0] < 0.0
+
+
+@pytest.mark.parametrize("x_m", [3.4, 4.1])
+def test_a_door_nobody_saw_is_in_the_wall_beside_it_not_half_way_to_a_cupboards_front(x_m: float) -> None:
+    surfaces, _, _ = packed(TWO_ROOMS, WAY_OF_TWO)
+    k = [round((x - surfaces.low[0]) / LINE_M) for x in (0.0, 3.4, 4.1, 8.1)]
+    y = [round((y - surfaces.low[1]) / LINE_M) for y in (0.0, 4.0)]
+    rectangles = (Rectangle(k[0], k[1], *y), Rectangle(k[2], k[3], *y))
+    edges = np.array([[0.0, 3.4, 0.0, 4.0], [4.1, 8.1, 0.0, 4.0]])
+    odds = {side: np.zeros(surfaces.classes[side].shape) for side in SIDES}
+    for side in SIDES[:2]:
+        odds[side][round((x_m - surfaces.low[0]) / LINE_M)] = 2.0
+    sides = Sides(odds, {}, {}, np.zeros((0, 0)))
+    (passage,) = _passed_unseen(surfaces, sides, rectangles, edges, ())
+    assert passage.ends.mean(axis=0) == pytest.approx([x_m, DOOR[1]], abs=0.05)
+
+
+@given(st.lists(st.floats(-6.0, 4.0), min_size=1, max_size=60))
+def test_a_wall_with_a_door_is_the_best_of_all_places_for_one(odds: list[float]) -> None:
+    model = wall_model()
+    tried = [sum(odds)]
+    tried += [sum(odds[:k]) + sum(odds[k + n :]) - model.door for n in DOOR_PIECES for k in range(len(odds) - n + 1)]
+    assert wall_with_door(np.array(odds), model)[0] == pytest.approx(max(tried), abs=1e-6)
+
+
 def test_a_room_is_as_sure_as_its_set_is_ahead_of_the_best_one_without_it() -> None:
     _, _, found = packed(TWO_ROOMS, WAY_OF_TWO)
     assert min(found.lead) > 0.0
-    whole = make_floor_plan(navigate(TWO_ROOMS, WAY_OF_TWO), ())
+    whole = plan_along(np.eye(3), navigate(TWO_ROOMS, WAY_OF_TWO), (), wall_model())
     assert all(0.5 < room.certainty <= 1.0 for room in whole.rooms)
     least = 1.0 / (1.0 + np.exp(-min(found.lead) / wall_model().lead))
     assert min(room.certainty for room in whole.rooms) <= least + 0.05  # borders may leave more doubt
