@@ -21,6 +21,9 @@ def _not_blank(name: str) -> str:
 
 
 Name = Annotated[str, Field(max_length=80, json_schema_extra={"pattern": r"\S"}), AfterValidator(_not_blank)]
+OptionalName = Annotated[  # empty: the station makes one
+    str, Field(max_length=80), AfterValidator(lambda name: _not_blank(name) if name else name)
+]
 
 
 class Model(BaseModel):
