@@ -34,7 +34,7 @@ from shared.messages import (
 )
 from shared.pairing import Pake
 from shared.reception import Caller
-from shared.session import Event, Session, State, Tick
+from shared.session import MESSAGES_AT_A_TIME, Event, Session, State, Tick
 
 logger = logging.getLogger(__name__)
 
@@ -195,12 +195,16 @@ class StationClient:
             await self._close()
 
     async def _read(self, handle: Callable[[StationClient, Join | StationMessage], None]) -> None:
+        num_messages = 0
         while data := await self._reader.read(READ_BYTES):
             self.read_ns = self._now_ns()
             self.session.receive(data)
             try:
                 while not self._ending.is_set() and (message := self.session.next_message(self._now_ns())) is not None:
                     handle(self, message)  # type: ignore[arg-type]  # the session decodes station messages only
+                    num_messages += 1
+                    if num_messages % MESSAGES_AT_A_TIME == 0:
+                        await asyncio.sleep(0)
             except RemoteProtocolError as exc:
                 self.end(Event.BROKE_RULES, notice("protocol", str(exc), fatal=True))
                 return

@@ -32,6 +32,7 @@ HEARTBEAT_INTERVAL_NS = 100_000_000
 JOIN_WITHIN_NS = 3_000_000_000  # a stranger may hold a place in the hall for so long
 QUIET_AFTER_NS = 1_000_000_000  # ten heartbeats missing: the station no longer drives
 CLOSE_AFTER_NS = 10_000_000_000  # Wi-Fi comes back from a roam or a microwave oven within seconds
+MESSAGES_AT_A_TIME = 16  # of one peer, then it is others' turn: who talks without end must keep nobody from STOP
 OWN_PAUSE_NS = 500_000_000  # a longer pause between ticks was ours: what the peer said meanwhile is not read yet
 
 

@@ -8,12 +8,14 @@ from typing import Annotated, cast
 from fastapi import Depends, Header, Path
 from starlette.requests import HTTPConnection
 
+from shared.access import Role
 from shared.text import printable
 from station.access.visitors import Visitor
 from station.api.doorkeeper import Found
 from station.api.roles import ROLES
 from station.app import Station
 from station.errors import NotAllowed
+from station.robots.driving import MAX_DRIVER_NAME
 from station.robots.session import RobotSession
 
 # Coroutines although they wait for nothing: FastAPI would call plain functions in a thread, for each request.
@@ -85,9 +87,13 @@ async def get_driver(
     connection: HTTPConnection,
     x_driver: Annotated[str | None, Header(description="your name as a driver; else your address")] = None,
 ) -> str:
-    """The name a caller drives under."""
+    """The name a caller drives under; of who may not drive the token's name, which takes nobody's stop back."""
+    visitor = _visitor_of(connection)
+    if not visitor.role.includes(Role.DRIVE):
+        return f"{visitor.name}, who watches"
     if x_driver:
-        return printable(x_driver)  # logs and other pages tell it
+        # Logs and other pages tell it. One that is too long is refused where it drives; a stop counts whoever says it.
+        return printable(x_driver[: MAX_DRIVER_NAME + 1])
     return f"API client at {connection.client.host}" if connection.client else "API client"
 
 

@@ -17,7 +17,9 @@ from station.access.visitors import Visitor
 from station.api.problems import problem
 from station.errors import Busy
 
-MAX_BODY_BYTES = 1 << 20  # the largest request, a list of navigations, has some kilobytes
+MAX_BODY_BYTES = (
+    1 << 16
+)  # the largest request, a list of navigations, has some kilobytes; 1 MiB of mistakes took seconds
 MAX_SOCKETS = 32  # of each kind: a page has three
 SOCKETS_PER_TOKEN = 8
 MAX_STREAMS = 16  # MJPEG viewers: each gets every picture

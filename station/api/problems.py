@@ -40,7 +40,7 @@ KINDS: tuple[tuple[type[RobotSystemError], str, str, int], ...] = (
     (ConfigError, "configuration", "The configuration does not allow it", 409),
     (RobotSystemError, "failed", "It did not work", 500),
 )
-MAX_MISTAKES = 20  # of one request that are said; a body of 1 MiB has room for 80,000
+MAX_MISTAKES = 20  # of one request that are said; a body has room for 5000
 STATUS_TITLES = {
     400: "Bad request",
     403: "Not allowed",

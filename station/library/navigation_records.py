@@ -171,6 +171,8 @@ class NavigationLibrary:
         """Those that can be restored."""
         found = []
         for folder in sorted((self._root / BIN).glob("*")):
+            if not _ID.fullmatch(folder.name):
+                continue
             try:
                 found.append(_read_record(folder))
             except (OSError, msgspec.DecodeError):
@@ -208,7 +210,8 @@ def _read_record(folder: Path) -> NavigationRecord:
     """Raises OSError, msgspec.DecodeError: there is none, or it is damaged."""
     named = folder / RECORD
     path = named if named.exists() else folder / OLD_RECORD
-    return msgspec.json.decode(read_file(path, MAX_SETTINGS_BYTES), type=NavigationRecord)
+    record = msgspec.json.decode(read_file(path, MAX_SETTINGS_BYTES), type=NavigationRecord)
+    return replace(record, id=folder.name)  # somebody may have copied or renamed the folder
 
 
 def _without_record(folder: Path) -> NavigationRecord:

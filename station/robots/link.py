@@ -33,7 +33,8 @@ from shared.messages import (
     Stop,
     Welcome,
 )
-from shared.session import Event, Session, State, Tick
+from shared.repetition import Repetition
+from shared.session import MESSAGES_AT_A_TIME, Event, Session, State, Tick
 from station.access.connecting import (
     CONNECT_WITHIN_S,
     READ_BYTES,
@@ -59,6 +60,7 @@ RETRY_S = 0.25  # a robot that just started is found well within two seconds
 REFUSED_RETRY_S = 1.5  # somebody must do something first: pair, or set up; or a handshake was cut in the middle
 GREETED_WITHIN_NS = 1_500_000_000  # a hello that was lost on the way must not cost more than a new connection
 TICK_S = 0.025
+MAX_WARNINGS = 20  # different lines of one robot in the program's log in a minute
 AUTO = "auto"  # as host: look for a robot
 NO_ROBOT_FOUND = (
     "no robot makes itself known in this network; start robot-server with --host 0.0.0.0 there, or give its HOST:PORT"
@@ -110,6 +112,7 @@ class RobotLink:
         self._connections = 0
         self._status: Status | None = None
         self._notice: ErrorNotice | None = None
+        self._warnings = Repetition(MAX_WARNINGS)
 
     @property
     def state(self) -> LinkState:
@@ -172,7 +175,7 @@ class RobotLink:
             self.commands.close()
             self._rates = RateMeter()  # nothing arrives now
         if was_connected:
-            logger.warning("robot lost: %s", self._reason)
+            self._warn(f"robot lost: {self._reason}")
             self._listener.on_disconnected(self._reason)
 
     async def _find_and_connect(self, search: RobotSearch) -> str:
@@ -253,6 +256,7 @@ class RobotLink:
 
     async def _read(self, connection: Connection) -> None:
         session, heard = self._session, connection.heard
+        num_messages = 0
         while data := heard or await connection.reader.read(READ_BYTES):
             heard = b""
             self._arrived.add_bytes(len(data), self._now_ns())
@@ -262,6 +266,9 @@ class RobotLink:
                     self._receive(message, self._now_ns())
                     if session.state is State.CLOSED:
                         raise _Ended
+                    num_messages += 1
+                    if num_messages % MESSAGES_AT_A_TIME == 0:
+                        await asyncio.sleep(0)
             except RemoteProtocolError as exc:
                 raise _Ended from exc  # the session holds the reason
         session.close(Event.LOST, "the robot closed the connection")
@@ -444,11 +451,16 @@ class RobotLink:
 
     def _receive_notice(self, notice: ErrorNotice) -> None:
         self._notice = notice
-        logger.warning("robot: %s", notice.message)
+        self._warn(f"robot: {notice.message}")
         self.commands.receive_notice(notice)
         if notice.fatal:
             self._session.close_reason = f"the robot closed the connection: {notice.message}"
         self._listener.on_notice(notice)
+
+    def _warn(self, line: str) -> None:
+        """A robot may say ever other things, thousands a second: no log would hold them."""
+        if (news := self._warnings.news(line)) is not None:
+            logger.warning("%s", news)
 
 
 def _find_in_network(seconds: float, paired: Collection[str]) -> Collection[FoundRobot]:

@@ -225,6 +225,27 @@ async def test_a_revoked_token_loses_its_sockets_and_streams_at_once(tmp_path: P
         await asyncio.gather(filming, return_exceptions=True)
 
 
+async def test_who_only_watches_takes_back_nobodys_stop_under_the_drivers_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with running_robot() as bench, guarded_station(tmp_path, bench.port) as station:
+        http, robot = station.desk.http, station.desk.station.first
+        await until(lambda: robot.state.connected)
+        now_ns = time.monotonic_ns()
+        monkeypatch.setattr(robot.driving, "_now_ns", lambda: now_ns)  # nobody is silent
+        order = {"linear": 0.2, "angular": 0.0, "ttl_ms": 1000}
+        anna, ben = ({"X-Driver": name, **station.headers(Role.DRIVE)} for name in ("anna", "ben"))
+        await http.post("/drive", json=order, headers=anna)
+        await http.post("/stop", headers=ben)
+        for name in ("anna", "x" * 10_000):
+            watcher = {"X-Driver": name, **station.headers(Role.WATCH)}
+            assert (await http.post("/stop", headers=watcher)).status_code == 200
+        assert is_problem(await http.post("/drive", json=order, headers=anna), 409)  # she holds on
+        await http.post("/stop", headers={"X-Driver": "y" * 10_000, **station.headers(Role.DRIVE)})
+        told = [line.text for line in robot.events.log if "stopped" in line.text]
+        assert told[1] == "watcher, who watches stopped the robot" and max(map(len, told)) < 100
+
+
 async def test_tokens_are_made_listed_and_revoked_over_http(tmp_path: Path) -> None:
     async with guarded_station(tmp_path) as station:
         http, admin = station.desk.http, station.headers(Role.ADMIN)

@@ -28,11 +28,12 @@ from shared.messages import (
     Join,
     Message,
     Refusal,
+    StationMessage,
     Stop,
     Welcome,
 )
-from shared.session import State
-from station.robots.link import RobotLink
+from shared.session import MESSAGES_AT_A_TIME, State
+from station.robots.link import MAX_WARNINGS, RobotLink
 from tests.support.link import Bench, Notes, linked, running_robot, until
 
 Wire = tuple[asyncio.StreamReader, asyncio.StreamWriter]
@@ -251,6 +252,43 @@ async def test_a_peer_that_never_reads_does_not_fill_the_robots_memory() -> None
         await assert_goes_on(bench, link, notes)
 
 
+@asynccontextmanager
+async def most_in_a_turn() -> AsyncIterator[tuple[Callable[[object], None], Callable[[], int]]]:
+    """Whom to tell of each thing that happens, and how many there were in one turn of the event loop at most."""
+    happened = most = 0
+    over = False
+
+    def note(_: object) -> None:
+        nonlocal happened
+        happened += 1
+
+    def turn() -> None:
+        nonlocal happened, most
+        most, happened = max(most, happened), 0
+        if not over:
+            asyncio.get_running_loop().call_soon(turn)
+
+    turn()
+    yield note, lambda: most
+    over = True
+
+
+async def test_a_station_that_talks_without_end_leaves_others_their_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with running_robot() as bench, wire(bench.port) as (_, writer), most_in_a_turn() as (note, most):
+        handle = bench.server.desk.handle
+
+        def handle_and_note(client: int, message: StationMessage, now_ns: int) -> ErrorNotice | None:
+            note(message)
+            return handle(client, message, now_ns)
+
+        monkeypatch.setattr(bench.server.desk, "handle", handle_and_note)
+        writer.write(JOIN)
+        await until(lambda: any(client.is_joined for client in bench.server._clients.values()))
+        writer.write(b"".join(packed(Stop(seq=seq)) for seq in range(500)))
+        await until(lambda: bench.stops_heard == 500)
+        assert most() <= 2 * MESSAGES_AT_A_TIME
+
+
 # The other way round: a robot that is none
 
 
@@ -304,3 +342,18 @@ async def test_the_link_says_what_is_wrong_with_a_robot_and_keeps_trying(answer:
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
         server.close()
+
+
+async def test_a_robot_that_talks_without_end_leaves_others_their_turn_and_the_log_room(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    said: list[Message] = [msgspec.structs.replace(HELLO, protocol=PROTOCOL_VERSION), Welcome(client_id=1)]
+    said += [ErrorNotice(code="device", message=f"it is {number} degrees too warm") for number in range(500)]
+    server = await false_robot(says(b"".join(map(packed, said))))
+    async with most_in_a_turn() as (note, most), linked(server.sockets[0].getsockname()[1]) as (_, notes):
+        on_notice = notes.on_notice
+        notes.on_notice = lambda notice: (on_notice(notice), note(notice))[0]  # type: ignore[method-assign]
+        await until(lambda: len(notes.notices) >= 500)
+    server.close()
+    assert most() <= 2 * MESSAGES_AT_A_TIME
+    assert len([line for line in caplog.messages if "too warm" in line]) == MAX_WARNINGS

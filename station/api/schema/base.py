@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from shared.text import is_printable, is_seen_whole
 
+MAX_FIELDS = 40
 Number = Annotated[float, Field(allow_inf_nan=False)]
 
 
@@ -20,6 +21,9 @@ def _not_blank(name: str) -> str:
 
 
 Name = Annotated[str, Field(max_length=80, json_schema_extra={"pattern": r"\S"}), AfterValidator(_not_blank)]
+OptionalName = Annotated[  # empty: the station makes one
+    str, Field(max_length=80), AfterValidator(lambda name: _not_blank(name) if name else name)
+]
 
 
 class Model(BaseModel):
@@ -39,6 +43,13 @@ class Question(Model):
     """
 
     model_config = ConfigDict(strict=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_few_fields(cls, value: object) -> object:
+        if isinstance(value, dict) and len(value) > MAX_FIELDS:  # each unknown one would be a mistake of its own
+            raise ValueError(f"{len(value)} fields are more than any question has")
+        return value
 
     @field_validator("*")
     @classmethod

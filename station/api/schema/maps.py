@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from station.api.schema.base import Model, Question
+from station.api.schema.base import Model, OptionalName, Question
 from station.config import MAX_ACTIVE_MAPS
 from station.library.active_maps import ActiveMaps
 from station.model.best_camera import misfit_of
@@ -32,7 +32,7 @@ class MapOrder(Question):
     """What to build a map from."""
 
     navigations: list[str] = Field(min_length=1, max_length=20, examples=[["nav-20260105-101500"]])
-    name: str = Field(default="", max_length=80, examples=["Flat"])
+    name: OptionalName = Field(default="", examples=["Flat"])
     mode: Literal["default", "thesis"] | None = None
     places: PlaceGrain = Field(
         default="rooms",

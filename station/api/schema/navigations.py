@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from station.api.schema.base import Model, Question
+from station.api.schema.base import Model, OptionalName, Question
 from station.library.bin import BinEntry
 from station.library.navigation_records import NavigationRecord
 from station.model.navigation import Navigation
@@ -52,7 +52,7 @@ class ReplayModel(Model):
 
 
 class NavigationStart(Question):
-    name: str = Field(default="", max_length=80, examples=["Tuesday, all rooms"])
+    name: OptionalName = Field(default="", examples=["Tuesday, all rooms"])
 
 
 class BinModel(Model):

@@ -94,6 +94,14 @@ async def test_a_body_beyond_the_limit_is_refused_said_or_unsaid(tmp_path: Path)
         assert small.status_code == 422
 
 
+async def test_a_body_has_no_room_for_so_many_mistakes_that_others_wait(tmp_path: Path) -> None:
+    async with asking(tmp_path) as http:
+        mistakes = {f"k{number}": 1 for number in range(10_000)}  # a third of a second on a small machine
+        assert (await http.post("/drive", json=mistakes)).status_code == 413
+        fewer = await http.post("/drive", json={f"k{number}": 1 for number in range(1000)})
+        assert fewer.status_code == 422 and len(fewer.json()["errors"]) == 1
+
+
 class Peer:
     """The other end of one of the app's WebSockets."""
 

@@ -33,6 +33,7 @@ def test_a_command_that_was_held_up_for_its_whole_life_is_over() -> None:
 def test_a_command_that_does_not_say_when_holds_briefly() -> None:
     assert life_left_ms(order(1000, None), 5000) == UNDATED_MS
     assert life_left_ms(order(30, None), 5000) == 30
+    assert life_left_ms(order(1000, 5001), 5000) == UNDATED_MS  # by the clock of a station before this one
 
 
 MS = 1_000_000

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import msgspec
 import pytest
+from pydantic import ValidationError
 
 import station.api
 from shared.calibration import CameraCalibration, WheelCalibration
@@ -21,7 +22,8 @@ from station.api.schema.calibration import CameraModel, WheelsModel
 from station.api.schema.calibration_session import BoardSeenModel, CalibrationSessionModel, MeterModel
 from station.api.schema.comparisons import ComparisonModel
 from station.api.schema.jobs import JobModel
-from station.api.schema.navigations import BinModel, NavigationModel
+from station.api.schema.maps import MapOrder
+from station.api.schema.navigations import BinModel, NavigationModel, NavigationStart
 from station.api.schema.places import EdgeModel, PlaceModel, PlacesChangeModel, RouteModel, VisitModel
 from station.api.schema.robot import (
     AppliedModel,
@@ -127,3 +129,11 @@ def test_a_value_has_all_fields_that_its_model_takes(conversion: Conversion) -> 
     model, others, _ = conversion
     assert others <= model.model_fields.keys()
     assert model.model_fields.keys() - others <= fields(MADE_OF[model])
+
+
+@pytest.mark.parametrize("name", ["  ", "\u200b", "a\u200bb", "a\x00b", "x" * 81])
+def test_what_begins_gets_no_name_that_a_later_one_could_not_be(name: str) -> None:
+    assert NavigationStart(name="").name == "" and MapOrder(navigations=["nav-1"], name="Flat").name == "Flat"
+    for make in (lambda: NavigationStart(name=name), lambda: MapOrder(navigations=["nav-1"], name=name)):
+        with pytest.raises(ValidationError):
+            make()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from station.files.unwritable import Unwritable
@@ -45,6 +47,22 @@ def test_a_navigation_whose_record_is_lost_is_known_by_its_recording(tmp_path: P
     interrupted = NavigationLibrary(tmp_path).open()
     assert [(navigation.id, navigation.state) for navigation in interrupted] == [("nav-a", "failed")]
     assert [navigation.id for navigation in NavigationLibrary(tmp_path).open()] == []  # it has a record again
+
+
+def test_a_copied_folder_is_a_navigation_of_its_own_whatever_id_its_record_has(tmp_path: Path) -> None:
+    library = NavigationLibrary(tmp_path)
+    library.store(NavigationRecord(id="nav-1", name="one", state="ready", started_wall_s=1.0, backend="sfm"))
+    shutil.copytree(tmp_path / "nav-1", tmp_path / "nav-1-copy")
+    stray = NavigationRecord(id="../out", name="stray", state="recording", started_wall_s=2.0, backend="sfm")
+    for folder in (tmp_path / "nav-2", tmp_path / ".bin" / ".hidden"):
+        folder.mkdir(parents=True)
+        (folder / "record.json").write_bytes(msgspec.json.encode(stray))
+    again = NavigationLibrary(tmp_path)
+    assert [navigation.id for navigation in again.open()] == ["nav-2"]  # interrupted
+    assert [navigation.id for navigation in again.list()] == ["nav-1", "nav-1-copy", "nav-2"]
+    again.delete("nav-1-copy")
+    assert [navigation.id for navigation in again.deleted()] == ["nav-1-copy"]
+    assert (tmp_path / "nav-1").is_dir() and not (tmp_path / "nav-1-copy").exists()
 
 
 @pytest.mark.parametrize("taken", ["before/navigation", "old"])
