@@ -19,7 +19,7 @@ MOST_POINTS = 20_000
 TURNS = np.radians(np.arange(-4.0, 4.1, 0.5))  # of the axes by landmarks, tried on walls: their peak is a degree wide
 NEAR_PLANES = 7  # of which the best counts
 LEAST_THIRD = 3  # landmarks: of fewer the median is any of them
-STRAIGHTENED = 2  # times more: then it moves by less than a tenth of a degree
+STRAIGHTENED = 3  # times: then it moves by less than a tenth of a degree
 
 
 def wall_yaw(p: FloatArray, metre: float) -> float:
@@ -45,16 +45,19 @@ def plan_axes(R_ground_map: FloatArray, p_map: FloatArray, metre: float) -> Floa
 
 
 def turn_to_walls(seen: Seen, model: WallModel) -> float:
-    """Rad, a few degrees: the turn of the axes in which the planes show the longest walls, and those stand straight.
+    """Rad, among TURNS: the turn of the axes in which the planes show the longest walls, and those stand straight.
 
     Furniture stands askew and bare walls show few landmarks; but no sight passes a wall in its own direction.
     """
     walls = [_longest_walls(seen.turned(turn), model) for turn in TURNS]
+    if not any(walls):
+        return 0.0
     k = int(np.argmax([sum(wall.weight**2 for wall in found) for found in walls]))  # a few long ones, not many short
-    turn = float(TURNS[k]) - _askew(seen.turned(float(TURNS[k])), walls[k])
+    turn = float(TURNS[k])
     for _ in range(STRAIGHTENED):
         turned = seen.turned(turn)
-        turn -= _askew(turned, _longest_walls(turned, model))
+        askew = _askew(turned, _longest_walls(turned, model))
+        turn = float(np.clip(turn - askew, TURNS[0], TURNS[-1]))  # what is no wall may stand at any angle
     return turn
 
 

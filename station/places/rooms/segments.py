@@ -122,7 +122,7 @@ def _passed_unseen(
         a, b = int(at[begin]), int(at[end])
         if a != b and frozenset((a, b)) not in pairs:
             pairs.add(frozenset((a, b)))
-            ways = ((a, path[begin : begin + 2]), (b, path[end : end - 2 : -1]))
+            ways = ((a, path[begin : begin + 2]), (b, path[[end, end - 1]]))
             _, ends = max(
                 (_crossed_wall(surfaces, sides, rectangles[r], edges[r], *way) for r, way in ways), key=lambda w: w[0]
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -108,6 +109,18 @@ def test_a_door_nobody_saw_is_in_the_wall_beside_it_not_half_way_to_a_cupboards_
     sides = Sides(odds, {}, {}, np.zeros((0, 0)))
     (passage,) = _passed_unseen(surfaces, sides, rectangles, edges, ())
     assert passage.ends.mean(axis=0) == pytest.approx([x_m, DOOR[1]], abs=0.05)
+
+
+def test_a_path_whose_first_step_leads_into_another_room_has_a_door_there() -> None:
+    seen = replace(Seen.of(navigate(TWO_ROOMS, WAY_OF_TWO), np.eye(3)), path=np.array([[3.7, DOOR[1]], [4.4, DOOR[1]]]))
+    surfaces = find_surfaces(seen)
+    assert surfaces is not None
+    k = [round((x - surfaces.low[0]) / LINE_M) for x in (0.0, 4.0, 4.1, 8.1)]
+    y = [round((y - surfaces.low[1]) / LINE_M) for y in (0.0, 4.0)]
+    rectangles = (Rectangle(k[0], k[1], *y), Rectangle(k[2], k[3], *y))
+    sides = weigh_sides(surfaces, wall_model())
+    (passage,) = _passed_unseen(surfaces, sides, rectangles, settled(rectangles, surfaces), ())
+    assert passage.ends.mean(axis=0) == pytest.approx(DOOR, abs=0.1)
 
 
 @given(st.lists(st.floats(-6.0, 4.0), min_size=1, max_size=60))
