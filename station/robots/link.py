@@ -113,6 +113,7 @@ class RobotLink:
         self._status: Status | None = None
         self._notice: ErrorNotice | None = None
         self._warnings = Repetition(MAX_WARNINGS)
+        self._losses = Repetition(MAX_WARNINGS)  # of its own: a robot that warns without end must not hide its end
 
     @property
     def state(self) -> LinkState:
@@ -175,7 +176,7 @@ class RobotLink:
             self.commands.close()
             self._rates = RateMeter()  # nothing arrives now
         if was_connected:
-            self._warn(f"robot lost: {self._reason}")
+            _warn(self._losses, f"robot lost: {self._reason}")
             self._listener.on_disconnected(self._reason)
 
     async def _find_and_connect(self, search: RobotSearch) -> str:
@@ -451,16 +452,17 @@ class RobotLink:
 
     def _receive_notice(self, notice: ErrorNotice) -> None:
         self._notice = notice
-        self._warn(f"robot: {notice.message}")
+        _warn(self._warnings, f"robot: {notice.message}")
         self.commands.receive_notice(notice)
         if notice.fatal:
             self._session.close_reason = f"the robot closed the connection: {notice.message}"
         self._listener.on_notice(notice)
 
-    def _warn(self, line: str) -> None:
-        """A robot may say ever other things, thousands a second: no log would hold them."""
-        if (news := self._warnings.news(line)) is not None:
-            logger.warning("%s", news)
+
+def _warn(said: Repetition, line: str) -> None:
+    """A robot may say ever other things, thousands a second: no log would hold them."""
+    if (news := said.news(line)) is not None:
+        logger.warning("%s", news)
 
 
 def _find_in_network(seconds: float, paired: Collection[str]) -> Collection[FoundRobot]:

@@ -357,3 +357,14 @@ async def test_a_robot_that_talks_without_end_leaves_others_their_turn_and_the_l
     server.close()
     assert most() <= 2 * MESSAGES_AT_A_TIME
     assert len([line for line in caplog.messages if "too warm" in line]) == MAX_WARNINGS
+
+
+async def test_a_robot_that_warned_without_end_is_told_as_lost(caplog: pytest.LogCaptureFixture) -> None:
+    said: list[Message] = [msgspec.structs.replace(HELLO, protocol=PROTOCOL_VERSION), Welcome(client_id=1)]
+    said += [ErrorNotice(code="device", message=f"it is {number} degrees too warm") for number in range(100)]
+    said.append(ErrorNotice(code="silent", message="that is all", fatal=True))
+    server = await false_robot(says(b"".join(map(packed, said))))
+    async with linked(server.sockets[0].getsockname()[1]) as (_, notes):
+        await until(lambda: bool(notes.reasons))
+    server.close()
+    assert "robot lost: the robot closed the connection: that is all" in caplog.messages
