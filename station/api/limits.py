@@ -17,9 +17,8 @@ from station.access.visitors import Visitor
 from station.api.problems import problem
 from station.errors import Busy
 
-MAX_BODY_BYTES = (
-    1 << 16
-)  # the largest request, a list of navigations, has some kilobytes; 1 MiB of mistakes took seconds
+# The largest request, a list of navigations, has some kilobytes; to count the mistakes of 1 MiB took seconds.
+MAX_BODY_BYTES = 1 << 16
 MAX_SOCKETS = 32  # of each kind: a page has three
 SOCKETS_PER_TOKEN = 8
 MAX_STREAMS = 16  # MJPEG viewers: each gets every picture

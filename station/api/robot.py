@@ -208,7 +208,7 @@ def life_left_ms(command: DriveCommand, now_ms: int) -> int:
     ttl_ms = min(command.ttl_ms, MAX_DRIVE_TTL_MS)
     if command.heard_ms is None or command.heard_ms > now_ms:  # a time that was never told says nothing of its age
         return min(ttl_ms, UNDATED_MS)
-    return ttl_ms - max(0, now_ms - command.heard_ms)
+    return ttl_ms - (now_ms - command.heard_ms)
 
 
 def too_late(command: DriveCommand, now_ms: int) -> DriveRefused:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Annotated
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from shared.geometry import FloatArray
 from station.api.schema.base import Model, Number, Question
@@ -18,6 +18,7 @@ from station.places.rooms.lines import driven_path
 
 Coordinate = Annotated[Number, Field(ge=-1e6, le=1e6)]
 Point = list[float]
+DrawnPoint = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
 
 
 class NameSuggestionModel(Model):
@@ -96,13 +97,7 @@ class RoomMerge(Question):
 class RoomSplit(Question):
     """A line right across a room, from wall to wall, as on the plan: a door."""
 
-    line: list[list[Coordinate]] = Field(min_length=2, max_length=2, examples=[[[1.0, -1.5], [1.0, 1.5]]])
-
-    @model_validator(mode="after")
-    def _has_points(self) -> Self:
-        if any(len(point) != 2 for point in self.line):
-            raise ValueError("each end of the line needs x and y")
-        return self
+    line: list[DrawnPoint] = Field(min_length=2, max_length=2, examples=[[[1.0, -1.5], [1.0, 1.5]]])
 
 
 def room_model(active: ActiveMap, room: Room) -> RoomModel:
