@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy.linalg
 
 from shared.geometry import FloatArray, IntArray
 
@@ -11,6 +12,14 @@ def diagonal_blocks(A: FloatArray, k: int) -> FloatArray:
     """The blocks (M, k, k) on the diagonal of A (M k, M k): a view."""
     M = len(A) // k
     return np.asarray(np.einsum("iaib->iab", A.reshape(M, k, M, k)))
+
+
+def whitened(S: FloatArray, HP: FloatArray, nu: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """L of S = L L^T (2M, 2M), and what a Kalman update is made of: L^-1 H P (2M, n), L^-1 nu (2M,) of nu (M, 2)."""
+    L = np.asarray(np.linalg.cholesky(S), dtype=np.float64)
+    both = np.column_stack([HP, nu.ravel()])
+    both = np.asarray(scipy.linalg.solve_triangular(L, both, lower=True, check_finite=False), dtype=np.float64)
+    return L, both[:, :-1], both[:, -1]
 
 
 def agreeing(nu: FloatArray, S: FloatArray, most: float) -> IntArray:

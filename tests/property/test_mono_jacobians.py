@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 from shared.geometry import FloatArray, so3_exp, so3_log
 from station.slam.mono.config import MonoConfig
-from station.slam.mono.measurement import Predicted, angles_of, bearing, bearing_by_angles, first_seen, predict, to_xyz
+from station.slam.mono.measurement import Predicted, first_seen, predict, to_xyz
 from station.slam.mono.motion import ATTITUDE, CAMERA, POSE, POSITION, TURN, VELOCITY, move
 from station.slam.mono.state import State
+from station.vision.bearings import angles_of, bearing, bearing_by_angles
 from station.vision.lens import Lens
 from tests.support.mono import hand_held_camera
 

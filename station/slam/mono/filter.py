@@ -51,7 +51,7 @@ class MonoFilter:
 
     def process(self, dt_s: float, finder: Finder) -> FrameResult:
         """Take one image in, dt_s after the one before."""
-        predicted = self.state.moved(self._config, dt_s)  # eqs. 2.1 to 2.3
+        predicted, _ = self.state.moved(self._config, dt_s)  # eqs. 2.1 to 2.3
         expected = self._choose(predicted)  # eqs. 2.4 to 2.6, C.5
         uv, is_found = finder.find(predicted, expected)
         found = np.flatnonzero(is_found)

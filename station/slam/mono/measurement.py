@@ -12,34 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import FloatArray, homogeneous, skew
+from shared.geometry import FloatArray, IntArray, homogeneous, skew
 from station.slam.mono.motion import ATTITUDE, POSE, POSITION
+from station.vision.bearings import angles_of, bearing, bearing_by_angles
 from station.vision.lens import BoolArray, Lens
 
 MIN_COSINE = 0.3  # to the optical axis: beyond 72 degrees no lens here sees
-
-
-def bearing(theta_phi: FloatArray) -> FloatArray:
-    """m(theta, phi) (..., 3) of azimuth and elevation (..., 2) rad. Eq. C.4."""
-    theta, phi = theta_phi[..., 0], theta_phi[..., 1]
-    return np.stack([np.cos(phi) * np.sin(theta), -np.sin(phi), np.cos(phi) * np.cos(theta)], axis=-1)
-
-
-def bearing_by_angles(theta_phi: FloatArray) -> FloatArray:
-    """Derivative (..., 3, 2) of eq. C.4."""
-    theta, phi = theta_phi[..., 0], theta_phi[..., 1]
-    by_theta = np.stack([np.cos(phi) * np.cos(theta), np.zeros_like(phi), -np.cos(phi) * np.sin(theta)], axis=-1)
-    by_phi = np.stack([-np.sin(phi) * np.sin(theta), -np.cos(phi), -np.sin(phi) * np.cos(theta)], axis=-1)
-    return np.stack([by_theta, by_phi], axis=-1)
-
-
-def angles_of(ray: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Azimuth and elevation (N, 2) of rays (N, 3), the inverse of eq. C.4, and the derivative (N, 2, 3)."""
-    x, y, z = ray.T
-    angles = np.stack([np.arctan2(x, z), np.arctan2(-y, np.hypot(x, z))], axis=1)
-    across = bearing_by_angles(angles)  # its two columns are at right angles to each other and to the ray
-    length2 = (across**2).sum(axis=1) * np.linalg.norm(ray, axis=1)[:, None]
-    return angles, np.swapaxes(across / length2[:, None], 1, 2)
 
 
 def first_seen(
@@ -74,13 +52,16 @@ class Predicted:
     by_pose: FloatArray  # (N, 2, 6) derivative by the camera's pose
     by_feature: FloatArray  # (N, 2, 6); the last three are zero for XYZ
 
+    def of(self, some: slice | IntArray) -> Predicted:
+        return Predicted(self.uv_px[some], self.is_ahead[some], self.by_pose[some], self.by_feature[some])
+
 
 def predict(r: FloatArray, R: FloatArray, y: FloatArray, is_inverse: BoolArray, lens: Lens) -> Predicted:
-    """Pixels of features y (N, 6) seen from r (3,) with attitude R (3, 3), with derivatives."""
+    """Pixels of features y (N, 6) seen from r (3,) with attitude R (3, 3), or each from its own, with derivatives."""
     rho = np.where(is_inverse, y[:, 5], 1.0)[:, None]
     away, far = y[:, :3] - r, is_inverse[:, None]
     direction = rho * away + np.where(far, bearing(y[:, 3:5]), 0.0)  # eq. 2.4 (rho = 1) and C.5: the brackets
-    h = direction @ R  # eqs. 2.4 and C.5: h^R = R^RW [...]
+    h = (direction[:, None] @ R)[:, 0]  # eqs. 2.4 and C.5: h^R = R^RW [...]
     is_ahead = h[:, 2] > MIN_COSINE * np.linalg.norm(h, axis=1)
     h = np.where(is_ahead[:, None], h, [0.0, 0.0, 1.0])
     xy = h[:, :2] / h[:, 2:]
@@ -89,7 +70,7 @@ def predict(r: FloatArray, R: FloatArray, y: FloatArray, is_inverse: BoolArray, 
     pinhole[:, [0, 1], [0, 1]] = 1.0 / h[:, 2:]
     pinhole[:, :, 2] = -xy / h[:, 2:]
     by_h = lens.whitening(xy, 1.0) @ pinhole  # with the lens' distortion
-    by_direction = by_h @ R.T
+    by_direction = by_h @ np.swapaxes(R, -1, -2)
     by_place = rho[:, :, None] * by_direction
     by_angles = np.where(far[..., None], by_direction @ bearing_by_angles(y[:, 3:5]), 0.0)
     by_rho = np.where(far[..., None], by_direction @ away[:, :, None], 0.0)

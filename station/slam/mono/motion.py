@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.geometry import FloatArray, so3_exp
-from station.motion.lie import so3_left_jacobian
+from shared.geometry import FloatArray, gammas
 from station.slam.mono.config import MonoConfig
 
 POSITION, ATTITUDE, VELOCITY, TURN = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
@@ -30,12 +29,12 @@ def move(
     new[TURN] += impulse[3:]
     new[POSITION] += new[VELOCITY] * dt_s
     phi = new[TURN] * dt_s
-    turned = so3_exp(phi)  # q((omega^R + Omega^R) dt) of eq. 2.2
+    turned, by_turn = gammas(phi, (0, 1))  # q((omega^R + Omega^R) dt) of eq. 2.2, and how it changes
 
     F = np.eye(CAMERA)
     F[POSITION, VELOCITY] = dt_s * np.eye(3)
     F[ATTITUDE, ATTITUDE] = turned.T
-    F[ATTITUDE, TURN] = so3_left_jacobian(-phi) * dt_s
+    F[ATTITUDE, TURN] = by_turn.T * dt_s
     G = F[:, VELOCITY.start :]  # impulses act as the velocities do to which they are added
     return new, R @ turned, F, G
 

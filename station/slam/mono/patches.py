@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from shared.geometry import FloatArray, IntArray, homogeneous, inverse, transform
+from shared.geometry import FloatArray, IntArray, homogeneous, inverse
 from station.model.frames import ImageArray
 from station.slam.mono.config import MonoConfig
 from station.slam.mono.state import Expected, State
 from station.vision.klt import detect_corners
 from station.vision.lens import BoolArray, Lens
-from station.vision.patch_alignment import Float32Array, find_patch, from_shrunk, noise_of, to_shrunk
+from station.vision.patch_alignment import Float32Array, find_patches, from_shrunk, noise_of, to_shrunk, warped
 
 CORNER = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])  # steps of one pixel right and down
 NEAREST, FARTHEST = 0.05, 1e3  # units; of a patch's plane, for its warp only
@@ -77,31 +77,31 @@ class PatchFinder:
 
     def find(self, state: State, expected: Expected) -> tuple[FloatArray, BoolArray]:
         config, uv, found = self._config, expected.uv_px.copy(), np.zeros(len(expected.rows), dtype=bool)
-        points, origins, ellipses = state.points(), state.features()[:, :3], expected.ellipses()
-        for i, row in enumerate(expected.rows.tolist()):
-            patch = self._patches[int(state.ids[row])]
-            if state.is_inverse[row]:  # x_i of C.2: where it was seen from, as is known by now
-                patch.T_world_cam[:3, 3] = origins[row]
-            template, S = self._template(patch, points[row], state), ellipses[i] / patch.shrunk**2  # eq. 2.6
-            if template is None:
-                continue
-            image, middle, gate = self._images[patch.shrunk], to_shrunk(uv[i], patch.shrunk), config.gate_sigmas**2
-            place = find_patch(image, template, middle, gate * S, config.max_reach_px, config.min_correlation)
-            if place is not None:
-                uv[i], found[i] = from_shrunk(place, patch.shrunk), True
+        patches, gates = [self._patches[i] for i in state.ids[expected.rows].tolist()], expected.ellipses()  # eq. 2.6
+        for patch, row in zip(patches, state.rows()[expected.rows], strict=True):
+            if row[5]:  # x_i of C.2: where it was seen from, as is known by now
+                patch.T_world_cam[:3, 3] = state.x[row[:3]]
+        warps, kinds = self._warps(patches, state.points()[expected.rows], state), [patch.shrunk for patch in patches]
+        area = np.linalg.det(warps)
+        is_alike = (config.max_stretch * area > 1.0) & (config.max_stretch * area < config.max_stretch**2)
+        for shrunk, image in self._images.items():
+            some = np.flatnonzero(is_alike & (np.array(kinds) == shrunk))
+            gate = gates[some] * (config.gate_sigmas / shrunk) ** 2
+            templates = warped([patches[i].grey for i in some.tolist()], warps[some], config.patch_px)
+            middle, reach = to_shrunk(uv[some], shrunk), config.max_reach_px
+            places, is_there = find_patches(image, templates, middle, gate, reach, config.min_correlation)
+            some = some[is_there]
+            uv[some], found[some] = from_shrunk(places[is_there], shrunk), True
         return uv, found
 
-    def _template(self, patch: Patch, point: FloatArray, state: State) -> Float32Array | None:
-        """The patch's middle as this image should show it; None where it is stretched too much to be compared."""
-        depth = transform(inverse(patch.T_world_cam), point)[2]
-        depth = min(depth, FARTHEST) if depth > NEAREST else FARTHEST  # behind: beyond infinity
-        seen = transform(inverse(state.T_world_cam) @ patch.T_world_cam, depth * patch.rays)
-        uv = self._lens.project(seen[:, :2] / np.maximum(seen[:, 2:], NEAREST))
-        warp = (uv[1:] - uv[0]).T / patch.shrunk  # of a step in the patch to one in this image, shrunk likewise
-        if not 1.0 < self._config.max_stretch * np.linalg.det(warp) < self._config.max_stretch**2:
-            return None
-        back, side = np.linalg.inv(warp), (self._config.patch_px,) * 2
-        M = np.column_stack([back, self._reach - back @ np.full(2, float(self._half))])
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        warped = cv2.warpAffine(patch.grey, M, side, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-        return np.asarray(warped, dtype=np.float32)
+    def _warps(self, patches: list[Patch], points: FloatArray, state: State) -> FloatArray:
+        """Of a step in each patch, the feature at points (M, 3), to one in this image, shrunk likewise (M, 2, 2)."""
+        T = np.array([patch.T_world_cam for patch in patches]).reshape(-1, 4, 4)
+        rays = np.array([patch.rays for patch in patches]).reshape(-1, 3, 3)
+        depth = ((points - T[:, :3, 3]) * T[:, :3, 2]).sum(axis=1)
+        depth = np.where(depth > NEAREST, np.minimum(depth, FARTHEST), FARTHEST)  # behind: beyond infinity
+        T = inverse(state.T_world_cam) @ T
+        seen = (depth[:, None, None] * rays) @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3]
+        uv = self._lens.project(seen[..., :2] / np.maximum(seen[..., 2:], NEAREST))
+        shrunk = np.array([patch.shrunk for patch in patches])
+        return np.swapaxes(uv[:, 1:] - uv[:, :1], 1, 2) / shrunk[:, None, None]

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg
 from scipy.sparse import csr_array
 
 from shared.geometry import FloatArray, IntArray, se3, so3_exp, so3_log
 from station.slam.mono.config import MonoConfig
-from station.slam.mono.measurement import Predicted, bearing, first_seen, predict, to_xyz
+from station.slam.mono.measurement import Predicted, first_seen, predict, to_xyz
 from station.slam.mono.motion import ATTITUDE, CAMERA, POSE, POSITION, impulse_covariance, move
-from station.vision.innovations import diagonal_blocks
+from station.vision.bearings import bearing
+from station.vision.innovations import diagonal_blocks, whitened
 from station.vision.lens import BoolArray, Lens
 
 
@@ -22,14 +22,16 @@ class Expected:
 
     rows: IntArray  # (M,) of State.ids
     uv_px: FloatArray  # (M, 2)
-    H: csr_array  # (2M, n) their derivatives by every number of the state
+    H: FloatArray  # (2M, 12) their derivatives by the camera's pose and the feature's own numbers
+    columns: IntArray  # (2M, 12) where these stand in the state
     HP: FloatArray  # (2M, n) what links their pixels to every number of the state
     S: FloatArray  # (2M, 2M) of their innovations
 
     def of(self, chosen: IntArray) -> Expected:
         """The same of fewer features; chosen (K,) indexes rows."""
         two = (2 * chosen[:, None] + np.arange(2)).ravel()
-        return Expected(self.rows[chosen], self.uv_px[chosen], self.H[two], self.HP[two], self.S[np.ix_(two, two)])
+        of_two = self.H[two], self.columns[two], self.HP[two], self.S[np.ix_(two, two)]
+        return Expected(self.rows[chosen], self.uv_px[chosen], *of_two)
 
     def ellipses(self) -> FloatArray:
         """S_i of eq. 2.6 (M, 2, 2), each feature's own: the blocks on the diagonal."""
@@ -80,19 +82,20 @@ class State:
 
     # ---- time
 
-    def moved(self, config: MonoConfig, dt_s: float) -> State:
-        """After dt without an image: eqs. 2.1 to 2.3. Features rest."""
+    def moved(self, config: MonoConfig, dt_s: float) -> tuple[State, FloatArray]:
+        """After dt without an image: eqs. 2.1 to 2.3, and F (12, 12) of eq. 2.2. Features rest."""
         x, P = self.x.copy(), self.P.copy()
         x[:CAMERA], R, F, G = move(self.x[:CAMERA], self.R, np.zeros(6), dt_s)
         P[:CAMERA] = F @ P[:CAMERA]
         P[:, :CAMERA] = P[:, :CAMERA] @ F.T
         P[:CAMERA, :CAMERA] += G @ impulse_covariance(config, dt_s) @ G.T  # Q_v of eq. 2.3
-        return replace(self, x=x, R=R, P=P)
+        return replace(self, x=x, R=R, P=P), F
 
     # ---- images
 
-    def predict(self, lens: Lens) -> Predicted:
-        return predict(self.x[POSITION], self.R, self.features(), self.is_inverse, lens)
+    def predict(self, lens: Lens, rows: IntArray | None = None) -> Predicted:
+        some = slice(None) if rows is None else rows
+        return predict(self.x[POSITION], self.R, self.features()[some], self.is_inverse[some], lens)
 
     def in_view(self, lens: Lens, margin_px: float = 0.0) -> tuple[IntArray, FloatArray]:
         """Rows (K,) of the features that the camera should see, and their pixels (K, 2)."""
@@ -100,33 +103,36 @@ class State:
         rows = np.flatnonzero(seen.is_ahead & lens.is_inside(seen.uv_px, margin_px))
         return rows, seen.uv_px[rows]
 
-    def expect(self, lens: Lens, rows: IntArray, sigma_px: float, at: State | None = None) -> Expected:
-        """What an image should show of these features (M,), its derivatives taken here or at a state that has them."""
-        there = rows if at is None else np.searchsorted(at.ids, self.ids[rows])
-        seen = (self if at is None else at).predict(lens)
-        uv, H_x, H_y, mine = seen.uv_px[there], seen.by_pose[there], seen.by_feature[there], self.rows()[rows]
+    def expect(
+        self, lens: Lens, rows: IntArray, sigma_px: float, at: tuple[State, Predicted] | None = None
+    ) -> Expected:
+        """What an image should show of these features (M,), derivatives taken here, or at a state that sees them so."""
+        seen = self.predict(lens, rows) if at is None else at[1]
+        uv, H_x, H_y, mine = seen.uv_px, seen.by_pose, seen.by_feature, self.rows()[rows]
         columns = np.concatenate([np.broadcast_to(np.arange(POSE), (len(rows), POSE)), mine], axis=1)
-        values, every = np.concatenate([H_x, H_y], axis=2).ravel(), np.repeat(columns, 2, axis=0)
-        H = csr_array((values, every.ravel(), np.arange(0, every.size + 1, 12)), shape=(len(every), len(self.x)))
+        values, columns = np.concatenate([H_x, H_y], axis=2).reshape(-1, 12), np.repeat(columns, 2, axis=0)
+        ends = np.arange(0, columns.size + 1, 12)
+        H = csr_array((values.ravel(), columns.ravel(), ends), shape=(len(values), len(self.x)))
         HP = np.asarray(H @ self.P)
         S = np.asarray(H @ HP.T)  # eq. 2.6, its four terms: H has a part of the camera and one of the feature
         if at is not None:  # this mean, seen from there to first order
-            pose = np.concatenate([self.x[POSITION] - at.x[POSITION], so3_log(at.R.T @ self.R)])
-            feature = self.x[mine] - at.x[at.rows()[there]]
+            there = at[0]
+            pose = np.concatenate([self.x[POSITION] - there.x[POSITION], so3_log(there.R.T @ self.R)])
+            feature = self.x[mine] - there.x[there.rows()[np.searchsorted(there.ids, self.ids[rows])]]
             uv = uv + H_x @ pose + (H_y @ feature[:, :, None])[:, :, 0]
         S = 0.5 * (S + S.T)
         diagonal_blocks(S, 2)[:] += sigma_px**2 * self.noise[rows]  # R of eq. 2.6
-        return Expected(rows, uv, H, HP, S)
+        return Expected(rows, uv, values, columns, HP, S)
 
     def updated(self, expected: Expected, uv_px: FloatArray) -> State:
         """The Kalman update with measured pixels (M, 2): x + P H^T S^-1 nu, P - P H^T S^-1 H P."""
         if not len(uv_px):
             return self
-        L = np.linalg.cholesky(expected.S)
-        nu = (uv_px - expected.uv_px).ravel()
-        W = scipy.linalg.solve_triangular(L, expected.HP, lower=True, check_finite=False)
-        step = W.T @ scipy.linalg.solve_triangular(L, nu, lower=True, check_finite=False)
-        return replace(self.shifted(step), P=self.P - W.T @ W)
+        return self.updated_by(*whitened(expected.S, expected.HP, uv_px - expected.uv_px)[1:])
+
+    def updated_by(self, HP: FloatArray, nu: FloatArray) -> State:
+        """The same with L^-1 H P and L^-1 nu."""
+        return replace(self.shifted(HP.T @ nu), P=self.P - HP.T @ HP)
 
     def shifted(self, step: FloatArray) -> State:
         """The same, its mean so far (n,) away."""

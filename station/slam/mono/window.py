@@ -12,12 +12,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.linalg
 
 from shared.geometry import FloatArray, IntArray, so3_exp
 from station.slam.mono.config import MonoConfig
-from station.slam.mono.measurement import angles_of, bearing, first_seen
-from station.slam.mono.motion import CAMERA, POSE, POSITION, move
+from station.slam.mono.measurement import Predicted, first_seen, predict
+from station.slam.mono.motion import CAMERA, POSE, POSITION
 from station.slam.mono.state import State
+from station.vision.bearings import angles_of, bearing
+from station.vision.innovations import whitened
 from station.vision.lens import Lens
 
 MAX_ROUNDS = 8  # less where the errors no longer change
@@ -25,6 +28,7 @@ SETTLED = 0.3  # change of chi-square: the path moved by half a sigma
 NOISE_SETTLED = 0.1  # change of the noise, of itself
 BAD_SIGMAS = 2.0  # a feature whose errors are larger on the mean is no fixed point
 MIN_FREE = 60  # degrees of freedom; fewer say too little of the noise
+NONE = np.zeros((0, 6, POSE))  # derivatives of no new features
 MEDIAN_CHI2 = 1.386  # of two degrees of freedom
 
 
@@ -86,7 +90,7 @@ class Window:
         """From the last image to the first one; in the order of time."""
         path = [state]
         for image, before in zip(self._images[:0:-1], self._images[-2::-1], strict=True):
-            state = state.moved(self._config, -image.dt_s)
+            state, _ = state.moved(self._config, -image.dt_s)
             rows = np.searchsorted(state.ids, before.ids)
             state = state.updated(state.expect(self._lens, rows, sigma_px), before.uv_px)
             path.append(state)
@@ -97,35 +101,44 @@ class Window:
     ) -> tuple[list[State], float]:
         """From before the first image to the last one, with derivatives taken on the path; the path that this makes
         most probable, and chi-square of all that was assumed."""
-        steps, chi2 = [], 0.0
-        for image, at in zip(images, path, strict=True):
-            F = move(state.x[:CAMERA], state.R, np.zeros(6), image.dt_s)[2]
-            state = state.moved(self._config, image.dt_s)
-            old, new = image.only(state.ids), image.only(np.setdiff1d(image.ids, state.ids))
-            expected = state.expect(self._lens, np.searchsorted(state.ids, old.ids), sigma_px, at)
-            nu, information = (old.uv_px - expected.uv_px).ravel(), np.linalg.inv(expected.S)
-            chi2 += float(nu @ information @ nu)
-            state = state.updated(expected, old.uv_px)
-            by_pose = first_seen(state.x[POSITION], state.R, new.uv_px, self._config.first_inverse_depth, self._lens)[1]
-            noise = at.noise[np.searchsorted(at.ids, new.ids)]
-            state = state.with_features(new.ids, new.uv_px, noise, self._lens, self._config, sigma_px)
-            steps.append((F, expected, nu, information, by_pose, state))
+        config, rho, steps, chi2 = self._config, self._config.first_inverse_depth, [], 0.0
+        for image, at, seen in zip(images, path, self._seen(images, path), strict=True):
+            state, F = state.moved(config, image.dt_s)
+            rows = np.searchsorted(state.ids, image.ids)
+            old = int((rows < len(state.ids)).sum())  # new ones come after them
+            expected = state.expect(self._lens, rows[:old], sigma_px, (at, seen.of(slice(old))))
+            L, HP, nu = whitened(expected.S, expected.HP, image.uv_px[:old] - expected.uv_px)
+            chi2 += float(nu @ nu)
+            state, new, uv = state.updated_by(HP, nu), image.ids[old:], image.uv_px[old:]
+            by_pose = first_seen(state.x[POSITION], state.R, uv, rho, self._lens)[1] if len(new) else NONE
+            state = state.with_features(new, uv, at.noise[np.searchsorted(at.ids, new)], self._lens, config, sigma_px)
+            steps.append((F, expected, L, HP, nu, by_pose, state))
         # What later images say of each number: P times this is the step that they ask for.
         path, later = [], np.zeros(len(state.x))
-        for F, expected, nu, information, by_pose, state in reversed(steps):
+        for F, expected, L, HP, nu, by_pose, state in reversed(steps):
             path.append(state.shifted(state.P @ later))
-            later, of_new = np.split(later, [expected.H.shape[1]])
+            later, of_new = np.split(later, [HP.shape[1]])
             later[:POSE] += by_pose.reshape(-1, POSE).T @ of_new
-            later += expected.H.T @ (information @ (nu - expected.HP @ later))
+            asked = scipy.linalg.solve_triangular(L, nu - HP @ later, trans=1, lower=True, check_finite=False)
+            later += np.bincount(expected.columns.ravel(), (expected.H * asked[:, None]).ravel(), len(later))
             later[:CAMERA] = F.T @ later[:CAMERA]
         return path[::-1], chi2
 
+    def _seen(self, images: list[Measured], path: list[State]) -> list[Predicted]:
+        """What each image should show where the camera is on the path; in one call, which costs more than an image."""
+        rows = [np.searchsorted(at.ids, image.ids) for image, at in zip(images, path, strict=True)]
+        size = [len(row) for row in rows]
+        r, R = np.repeat([at.x[POSITION] for at in path], size, axis=0), np.repeat([at.R for at in path], size, axis=0)
+        y = np.concatenate([at.features()[row] for at, row in zip(path, rows, strict=True)])
+        is_inverse = np.concatenate([at.is_inverse[row] for at, row in zip(path, rows, strict=True)])
+        seen, ends = predict(r, R, y, is_inverse, self._lens), np.cumsum(size).tolist()
+        return [seen.of(slice(start, end)) for start, end in zip([0, *ends], ends, strict=False)]
+
     def _errors(self, images: list[Measured], path: list[State]) -> tuple[FloatArray, IntArray]:
         """Squared errors (K,) px^2 of all measurements, as if of noise 1, and their features' rows (K,)."""
-        rows = [np.searchsorted(state.ids, image.ids) for image, state in zip(images, path, strict=True)]
-        seen = [state.predict(self._lens).uv_px[row] for state, row in zip(path, rows, strict=True)]
-        row = np.concatenate(rows)
-        error = np.concatenate([image.uv_px for image in images]) - np.concatenate(seen)
+        row = np.concatenate([np.searchsorted(path[-1].ids, image.ids) for image in images])
+        seen = np.concatenate([each.uv_px for each in self._seen(images, path)])
+        error = np.concatenate([image.uv_px for image in images]) - seen
         return np.einsum("ki,kij,kj->k", error, np.linalg.inv(path[-1].noise)[row], error), row
 
 

@@ -30,14 +30,14 @@ def test_patch_is_found_to_a_part_of_a_pixel_whatever_the_contrast_and_the_slope
     grey = blobs(0)
     slope = np.add.outer(0.8 * np.arange(60.0), -1.5 * np.arange(60.0)).astype(np.float32)
     image = 0.7 * shifted(grey, np.array(shift)) + slope
-    place = align(image, middle(grey), np.array([30.0, 30.0]))
-    assert place is not None
-    np.testing.assert_allclose(place, [30.0 + shift[0], 30.0 + shift[1]], atol=0.03)
+    places, is_near = align(image, middle(grey)[None], np.array([[30.0, 30.0]]))
+    assert is_near.all()
+    np.testing.assert_allclose(places[0], [30.0 + shift[0], 30.0 + shift[1]], atol=0.03)
 
 
 def test_patch_that_is_not_near_is_not_found() -> None:
     grey = blobs(0)
-    assert align(shifted(grey, np.array([4.0, 3.0])), middle(grey), np.array([30.0, 30.0])) is None
+    assert not align(shifted(grey, np.array([4.0, 3.0])), middle(grey)[None], np.array([[30.0, 30.0]]))[1].any()
 
 
 def test_patch_slides_along_an_edge_and_is_less_sure_where_contrast_is_low() -> None:

@@ -42,7 +42,7 @@ def test_features_of_sharp_corners_or_else_of_shades_are_found_where_they_have_m
     assert len(uv) >= 10 and ((sizes(noise) < config.coarse) == is_sharp).all()
     ids = np.arange(len(uv))
     state = State.first(config).with_features(ids, uv, noise, lens, config, config.sigma_px)
-    state = state.moved(config, 1.0 / 30.0)
+    state, _ = state.moved(config, 1.0 / 30.0)
     finder.look_at(picture(contrast, blur_px, SHIFT_PX, 2))
     inside = np.flatnonzero(uv[:, 0] + SHIFT_PX < 580)
     found_px, found = finder.find(state, state.expect(lens, inside, config.sigma_px))

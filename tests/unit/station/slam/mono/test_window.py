@@ -32,7 +32,7 @@ def seen() -> tuple[Lens, list[Measured], State]:
         inside = np.flatnonzero(lens.is_inside(uv, 5.0))
         images.append(Measured(1.0 / RATE_HZ if k else 0.0, inside, uv[inside], inside))
         if k:
-            state = state.moved(config, 1.0 / RATE_HZ)
+            state, _ = state.moved(config, 1.0 / RATE_HZ)
             state = state.updated(state.expect(lens, inside, config.sigma_px), uv[inside])
         else:
             state = state.with_features(ids, uv, ONES, lens, config, config.sigma_px)
