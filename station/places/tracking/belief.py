@@ -165,7 +165,7 @@ class Hypothesis:
         gain = sigma_m**2 / (sigma_m**2 + doubt * m.sigma_m**2)
         gain_heading = self.sigma_rad**2 / (self.sigma_rad**2 + doubt * m.sigma_rad**2)
         z = m.localization
-        before = self.recognised.lately(z.t_robot_ns, c.landmark_memory_s)
+        before = self.recognised.lately(z.t_robot_ns, c.memory_s)
         recognised = before.and_then(z.landmarks, z.t_robot_ns)
         T_map_body = _between(self.pose(T_nav_body), m.T_map_body, gain, gain_heading)
         return replace(

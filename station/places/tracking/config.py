@@ -19,7 +19,7 @@ class BeliefConfig:
     unnoticed_move_per_s: float = 1e-4  # picked up without any sensor noticing: once in three hours
     false_localization_floor: float = 0.02
     deceived_again: float = 0.5  # of the wrong images: deceived by what deceived an earlier one, at a pose that fits it
-    landmark_memory_s: float = 15.0  # landmarks that are recognised again within this time are nothing new
+    memory_s: float = 15.0  # landmarks and views that come again within this time are nothing new
     same_landmarks: float = 0.02  # weight of an image that recognises nothing new
     informative_features: int = 60  # an image with fewer says nothing about where it was taken
     new_view_rad: float = 0.2  # a view that changed by this much fails independently of the last one

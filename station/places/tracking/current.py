@@ -19,7 +19,6 @@ from shared.geometry import FloatArray, inverse, so3_log
 from station.model.place_answer import Localization, PlaceAnswer
 from station.model.place_map import PlaceMap
 from station.motion.head import AHEAD, Aim
-from station.places.making.scale import USUAL_VIEWING_M
 from station.places.tracking.belief import Belief, Hypothesis
 from station.places.tracking.config import BeliefConfig
 from station.places.tracking.filter import (
@@ -36,6 +35,7 @@ from station.places.tracking.image_evidence import ImageEvidence, ImageLikelihoo
 from station.places.tracking.map_view import MapView
 from station.places.tracking.report import Past, PlaceProbabilities, Reporter
 from station.places.tracking.servos import SureView
+from station.places.tracking.views import RecentViews
 
 HISTORY = 600  # odometry poses kept, so that an image localised late still meets its own moment: 20 s at 30 Hz
 NO_IMAGE_BEFORE = 0.5  # that it failed is as good as that it did not
@@ -82,7 +82,7 @@ class CurrentPlaceEstimator:
         self._odometry: deque[_OdometryPose] = deque(maxlen=HISTORY)
         self._segment = 0
         self._t_ns: int | None = None  # up to which time the belief is predicted
-        self._last_view: FloatArray | None = None  # T_nav_head of the last image that was weighed
+        self._views = RecentViews(self.config.memory_s)  # of the images that were weighed
         self._failed_before = NO_IMAGE_BEFORE
         self._numbers = count(1)
         self._believed: Hypothesis | None = None  # where the robot was known to be
@@ -132,7 +132,7 @@ class CurrentPlaceEstimator:
         T_nav_body = self._nav_body_at(t)
         before = self._belief
         image = self._evidence.of_candidates(ours, before, T_nav_body, aim)
-        self._update(image, T_nav_body, aim)
+        self._update(image, t, T_nav_body, aim)
         self._failed_before = 0.0
         jump = self._believe(t, T_nav_body)
         if self._believed is not None and self._believed_ns == t:
@@ -149,16 +149,17 @@ class CurrentPlaceEstimator:
             return
         features = least if num_features is None else num_features
         T_nav_body = self._nav_body_at(t_robot_ns)
-        freshness = self._freshness(T_nav_body @ aim.T_body_head)
+        freshness = self._freshness(t_robot_ns, T_nav_body @ aim.T_body_head)
         image = self._evidence.of_failure(features, self._failed_before, self._belief, T_nav_body, freshness, aim)
-        self._update(image, T_nav_body, aim)
+        self._update(image, t_robot_ns, T_nav_body, aim)
         self._failed_before = 1.0
 
     def on_hijack(self, t_robot_ns: int, reason: str, confidence: float = 0.98) -> None:
         """The robot was picked up: what was known of its position counts `1 - confidence`."""
         self._predict(t_robot_ns)
         self._belief = prune(predict_hijack(self._belief, confidence, self.config), self.config)
-        self._last_view, self._failed_before = None, NO_IMAGE_BEFORE
+        self._views.clear()
+        self._failed_before = NO_IMAGE_BEFORE
         self._believed = None
         self._hijack_reason = reason
 
@@ -205,12 +206,13 @@ class CurrentPlaceEstimator:
         last = self._odometry[-1]
         self._odometry.clear()
         self._odometry.append(last)
-        self._last_view, self._failed_before = None, NO_IMAGE_BEFORE
+        self._views.clear()
+        self._failed_before = NO_IMAGE_BEFORE
         self._pass_time(t_robot_ns)
 
-    def _update(self, image: ImageLikelihood, T_nav_body: FloatArray, aim: Aim) -> None:
+    def _update(self, image: ImageLikelihood, t_robot_ns: int, T_nav_body: FloatArray, aim: Aim) -> None:
         self._belief = prune(weigh(self._belief, image, T_nav_body, self._numbers, self.config), self.config)
-        self._last_view = T_nav_body @ aim.T_body_head
+        self._views.add(t_robot_ns, T_nav_body @ aim.T_body_head)
 
     def _believe(self, t_robot_ns: int, T_nav_body: FloatArray) -> Jump | None:
         """Note the hypothesis that has nearly all weight; a jump when it is another one than before, and elsewhere.
@@ -273,12 +275,11 @@ class CurrentPlaceEstimator:
                     self._reporter.regroup(self._maps)
                 return
 
-    def _freshness(self, T_nav_head: FloatArray) -> float:
-        """0..1: how far the view is another one than the last image's; without odometry nobody knows that it is not."""
-        if self._last_view is None or not self._odometry:
+    def _freshness(self, t_robot_ns: int, T_nav_head: FloatArray) -> float:
+        """0..1: how far the view is another one than all that were weighed lately; without odometry nobody knows."""
+        if not self._odometry:
             return 1.0
-        distance, turn = _motion(self._last_view, T_nav_head)
-        return float(min((distance / USUAL_VIEWING_M + turn) / self.config.new_view_rad, 1.0))
+        return min(self._views.change(t_robot_ns, T_nav_head) / self.config.new_view_rad, 1.0)
 
     def _nav_body_at(self, t_robot_ns: int) -> FloatArray:
         """The odometry pose nearest in time; identity without odometry."""

@@ -240,7 +240,7 @@ class ImageEvidence:
         for h in hypotheses:
             if h.map_index == m.map_index:
                 seen |= h.recognised
-        return seen.lately(m.localization.t_robot_ns, self.config.landmark_memory_s)
+        return seen.lately(m.localization.t_robot_ns, self.config.memory_s)
 
     # -- an image that was not --------------------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from shared.calibration import REFERENCE_ROBOT
-from shared.geometry import se3
+from shared.geometry import FloatArray, se3
 from shared.head import turned
 from station.motion.head import AHEAD, Aim
 from station.places.tracking.current import CurrentPlaceEstimator
@@ -135,17 +135,40 @@ def test_a_robot_that_stands_still_before_a_view_it_does_not_know_keeps_its_plac
     assert answer.state == "known" and answer.place is not None and answer.place.id == "map-0"
 
 
-def test_a_robot_that_stands_still_and_looks_about_at_what_it_does_not_know_loses_its_place() -> None:
+def _looking(yaw: float, with_head: bool) -> tuple[FloatArray, Aim]:
+    """Where body and camera are while one of them is turned."""
     head = REFERENCE_ROBOT.head
     assert head is not None
+    return (pose(0.0, 0.0), Aim(turned(head, yaw, 0.0), 0.05)) if with_head else (pose(0.0, 0.0, yaw), AHEAD)
+
+
+@pytest.mark.parametrize("with_head", [True, False])
+def test_a_robot_that_looks_about_at_what_it_does_not_know_loses_its_place(with_head: bool) -> None:
     estimator = estimator_of(make_map())
     estimator.on_odometry(0, pose(0, 0))
     estimator.on_candidates([seen(0.0, pose(0.0, 0.0))])
-    for k in range(1, 25):
-        estimator.on_odometry(k * SECOND // 2, pose(0.0, 0.0))
-        aim = Aim(turned(head, 0.4 * (k % 4) - 0.6, 0.0), 0.05)
+    for k in range(1, 14):
+        T_nav_body, aim = _looking(0.2 * k - 1.4, with_head)
+        estimator.on_odometry(k * SECOND // 2, T_nav_body)
         estimator.on_failure(k * SECOND // 2, num_features=400, aim=aim)
-    assert estimator.answer(12 * SECOND).state == "unknown"
+    assert estimator.answer(7 * SECOND).state == "unknown"
+
+
+@pytest.mark.parametrize("with_head", [True, False])
+def test_a_robot_that_looks_to_and_fro_at_what_it_does_not_know_keeps_its_place(with_head: bool) -> None:
+    """Whatever it looks at again tells nothing new: a minute of it no more than a look to either side."""
+    estimator = estimator_of(make_map())
+    estimator.on_odometry(0, pose(0, 0))
+    estimator.on_candidates([seen(0.0, pose(0.0, 0.0))])
+    believed = []
+    for k in range(1, 121):
+        T_nav_body, aim = _looking((0.5, -0.5)[k % 2], with_head)
+        estimator.on_odometry(k * SECOND // 2, T_nav_body)
+        estimator.on_failure(k * SECOND // 2, num_features=400, aim=aim)
+        believed.append(1 - estimator.place_probabilities().unmapped)
+    assert believed[1] < believed[0] - 1e-3  # the other side is new
+    assert believed[-1] == pytest.approx(believed[1], abs=0.01)
+    assert estimator.answer(60 * SECOND).state == "known"
 
 
 def test_a_covered_lens_is_no_evidence() -> None:
