@@ -62,35 +62,41 @@ def find_borders(
             own = r.pieces(axis)
             part = slice(max(own.start, low), min(own.stop, high))
             odds[part.start - low : part.stop - low] += sides.odds[axis, sign][r.plane((axis, sign)), part]
-        odds_of_wall, door = wall_with_door(odds, model)
+        odds_of_wall, doors = wall_with_doors(odds, model)
         lead[a, b] = abs(odds_of_wall)
         if odds_of_wall <= 0:
             joined.append((a, b))
-        elif door is not None:
-            across = 0.5 * (edges[a, 2 * axis + 1] + edges[b, 2 * axis])
-            begin, end = _shared(first, second, axis)
+            continue
+        across = 0.5 * (edges[a, 2 * axis + 1] + edges[b, 2 * axis])
+        begin, end = _shared(first, second, axis)
+        for door in doors:
             door_begin, door_end = max(low + door[0], begin), min(low + door[1], end)
             if (door_end - door_begin) * PIECE_M >= LEAST_DOOR_M:
                 passages.append(Passage(a, b, _line(surfaces, axis, across, door_begin, door_end)))
     return Borders(tuple(joined), lead, tuple(passages))
 
 
-def wall_with_door(odds: FloatArray, model: WallModel) -> tuple[float, tuple[int, int] | None]:
-    """Nats for a wall with one door at most, against nothing at all; and where that door begins and ends.
+def wall_with_doors(odds: FloatArray, model: WallModel) -> tuple[float, list[tuple[int, int]]]:
+    """Nats for a wall against nothing at all, and where its doors begin and end: the likeliest of all ways.
+
+    Between two doors is at least as much wall as a door is wide: a cupboard in an opening does not make two of it.
 
     Args:
         odds: (pieces,) for a wall, minus infinity where the body passed.
     """
-    bounded = np.maximum(odds, PASSED)
-    total, before = float(bounded.sum()), np.concatenate([[0.0], np.cumsum(bounded)])
-    best: tuple[float, tuple[int, int] | None] = total, None
-    for pieces in DOOR_PIECES:
-        if pieces <= len(odds):
-            with_door = total - (before[pieces:] - before[:-pieces]) - model.door
-            k = int(np.argmax(with_door))
-            if with_door[k] > best[0]:
-                best = float(with_door[k]), (k, k + pieces)
-    return best
+    wall = np.concatenate([[0.0], np.cumsum(np.maximum(odds, PASSED))])  # all that is before a piece
+    # Of a wall up to a piece, less all of it: the doors that it has, the last of which may end so late.
+    best: list[tuple[float, list[tuple[int, int]]]] = []
+    for end in range(len(wall)):
+        found = best[-1] if best else (0.0, [])
+        for pieces in DOOR_PIECES:
+            if pieces <= end:
+                before = best[max(end - pieces - DOOR_PIECES[0], 0)]
+                gained = before[0] - float(wall[end] - wall[end - pieces]) - model.door
+                if gained > found[0]:
+                    found = gained, [*before[1], (end - pieces, end)]
+        best.append(found)
+    return float(wall[-1]) + best[-1][0], best[-1][1]
 
 
 def walls_of(rectangles: Sequence[Rectangle], edges: FloatArray, surfaces: Surfaces, sides: Sides) -> FloatArray:

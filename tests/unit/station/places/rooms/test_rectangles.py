@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from station.places.rooms.borders import find_borders, settled, wall_with_door
+from station.places.rooms.borders import find_borders, settled, wall_with_doors
 from station.places.rooms.plan import plan_along
 from station.places.rooms.rectangles import Packed, Rectangle, _Choices, _packed, find_rectangles
 from station.places.rooms.segments import _passed_unseen
@@ -84,16 +84,25 @@ def test_a_wall_with_a_door_parts_two_rooms_and_an_open_side_does_not() -> None:
 def test_a_border_passed_in_one_place_has_a_door_there() -> None:
     odds = np.full(30, 2.0)
     odds[12:20] = -np.inf
-    nats, door = wall_with_door(odds, wall_model())
-    assert nats > 0.0 and door is not None
-    assert door[0] <= 12 and door[1] >= 20
+    nats, ((begin, end),) = wall_with_doors(odds, wall_model())
+    assert nats > 0.0
+    assert begin <= 12 and end >= 20
+
+
+def test_two_doors_with_a_wall_between_are_two_doors() -> None:
+    odds = np.full(90, 2.0)
+    odds[10:19] = odds[60:70] = -np.inf
+    nats, doors = wall_with_doors(odds, wall_model())
+    assert nats > 0.0
+    (first, second) = doors
+    assert first[0] <= 10 and 19 <= first[1] < second[0] <= 60 and second[1] >= 70
 
 
 def test_a_border_passed_in_two_places_is_an_opening_though_a_cupboard_stands_between() -> None:
-    """Two doors side by side between the same rooms: nobody builds that."""
+    """Two doors side by side between the same rooms are none."""
     odds = np.full(30, 2.0)
-    odds[3:9] = odds[16:22] = -np.inf
-    assert wall_with_door(odds, wall_model())[0] < 0.0
+    odds[3:9] = odds[13:20] = -np.inf
+    assert wall_with_doors(odds, wall_model())[0] < 0.0
 
 
 @pytest.mark.parametrize("x_m", [3.4, 4.1])
@@ -123,12 +132,27 @@ def test_a_path_whose_first_step_leads_into_another_room_has_a_door_there() -> N
     assert passage.ends.mean(axis=0) == pytest.approx(DOOR, abs=0.1)
 
 
-@given(st.lists(st.floats(-6.0, 4.0), min_size=1, max_size=60))
-def test_a_wall_with_a_door_is_the_best_of_all_places_for_one(odds: list[float]) -> None:
+@given(st.lists(st.floats(-6.0, 4.0), min_size=1, max_size=40))
+def test_walls_and_doors_are_the_best_of_all_ways(odds: list[float]) -> None:
     model = wall_model()
-    tried = [sum(odds)]
-    tried += [sum(odds[:k]) + sum(odds[k + n :]) - model.door for n in DOOR_PIECES for k in range(len(odds) - n + 1)]
-    assert wall_with_door(np.array(odds), model)[0] == pytest.approx(max(tried), abs=1e-6)
+
+    def best(begin: int) -> float:
+        """Of what is behind a piece, where a door may begin."""
+        tried = [sum(odds[begin:])]
+        for at in range(begin, len(odds)):
+            for pieces in DOOR_PIECES:
+                if (end := at + pieces) <= len(odds):
+                    rest = sum(odds[end:])
+                    after = end + DOOR_PIECES[0]
+                    if after < len(odds):
+                        rest = max(rest, sum(odds[end:after]) + best_from[after])
+                    tried.append(sum(odds[begin:at]) - model.door + rest)
+        return max(tried)
+
+    best_from: dict[int, float] = {}
+    for begin in reversed(range(len(odds))):
+        best_from[begin] = best(begin)
+    assert wall_with_doors(np.array(odds), model)[0] == pytest.approx(best_from[0], abs=1e-6)
 
 
 def test_a_room_is_as_sure_as_its_set_is_ahead_of_the_best_one_without_it() -> None:
