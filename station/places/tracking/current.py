@@ -82,7 +82,7 @@ class CurrentPlaceEstimator:
         self._odometry: deque[_OdometryPose] = deque(maxlen=HISTORY)
         self._segment = 0
         self._t_ns: int | None = None  # up to which time the belief is predicted
-        self._views = RecentViews(self.config.memory_s)  # of the images that were weighed
+        self._failed_views = RecentViews(self.config.memory_s)  # what was recognised there before says nothing of these
         self._failed_before = NO_IMAGE_BEFORE
         self._numbers = count(1)
         self._believed: Hypothesis | None = None  # where the robot was known to be
@@ -132,7 +132,7 @@ class CurrentPlaceEstimator:
         T_nav_body = self._nav_body_at(t)
         before = self._belief
         image = self._evidence.of_candidates(ours, before, T_nav_body, aim)
-        self._update(image, t, T_nav_body, aim)
+        self._weigh(image, T_nav_body)
         self._failed_before = 0.0
         jump = self._believe(t, T_nav_body)
         if self._believed is not None and self._believed_ns == t:
@@ -149,16 +149,18 @@ class CurrentPlaceEstimator:
             return
         features = least if num_features is None else num_features
         T_nav_body = self._nav_body_at(t_robot_ns)
-        freshness = self._freshness(t_robot_ns, T_nav_body @ aim.T_body_head)
+        T_nav_head = T_nav_body @ aim.T_body_head
+        freshness = self._freshness(t_robot_ns, T_nav_head)
         image = self._evidence.of_failure(features, self._failed_before, self._belief, T_nav_body, freshness, aim)
-        self._update(image, t_robot_ns, T_nav_body, aim)
+        self._weigh(image, T_nav_body)
+        self._failed_views.add(t_robot_ns, T_nav_head)
         self._failed_before = 1.0
 
     def on_hijack(self, t_robot_ns: int, reason: str, confidence: float = 0.98) -> None:
         """The robot was picked up: what was known of its position counts `1 - confidence`."""
         self._predict(t_robot_ns)
         self._belief = prune(predict_hijack(self._belief, confidence, self.config), self.config)
-        self._views.clear()
+        self._failed_views.clear()
         self._failed_before = NO_IMAGE_BEFORE
         self._believed = None
         self._hijack_reason = reason
@@ -206,13 +208,12 @@ class CurrentPlaceEstimator:
         last = self._odometry[-1]
         self._odometry.clear()
         self._odometry.append(last)
-        self._views.clear()
+        self._failed_views.clear()
         self._failed_before = NO_IMAGE_BEFORE
         self._pass_time(t_robot_ns)
 
-    def _update(self, image: ImageLikelihood, t_robot_ns: int, T_nav_body: FloatArray, aim: Aim) -> None:
+    def _weigh(self, image: ImageLikelihood, T_nav_body: FloatArray) -> None:
         self._belief = prune(weigh(self._belief, image, T_nav_body, self._numbers, self.config), self.config)
-        self._views.add(t_robot_ns, T_nav_body @ aim.T_body_head)
 
     def _believe(self, t_robot_ns: int, T_nav_body: FloatArray) -> Jump | None:
         """Note the hypothesis that has nearly all weight; a jump when it is another one than before, and elsewhere.
@@ -276,10 +277,10 @@ class CurrentPlaceEstimator:
                 return
 
     def _freshness(self, t_robot_ns: int, T_nav_head: FloatArray) -> float:
-        """0..1: how far the view is another one than all that were weighed lately; without odometry nobody knows."""
+        """0..1: how far the view is another one than all that failed lately; without odometry nobody knows."""
         if not self._odometry:
             return 1.0
-        return min(self._views.change(t_robot_ns, T_nav_head) / self.config.new_view_rad, 1.0)
+        return min(self._failed_views.change(t_robot_ns, T_nav_head) / self.config.new_view_rad, 1.0)
 
     def _nav_body_at(self, t_robot_ns: int) -> FloatArray:
         """The odometry pose nearest in time; identity without odometry."""

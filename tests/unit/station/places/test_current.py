@@ -171,6 +171,21 @@ def test_a_robot_that_looks_to_and_fro_at_what_it_does_not_know_keeps_its_place(
     assert estimator.answer(60 * SECOND).state == "known"
 
 
+def test_what_is_not_recognised_where_it_was_before_speaks_against_the_place() -> None:
+    """Somebody may have moved the robot, and no sensor noticed; or the map is old."""
+    believed = []
+    for aside in (0.0, 0.6):  # the second has never been looked at
+        estimator = estimator_of(make_map())
+        estimator.on_odometry(0, pose(0, 0))
+        estimator.on_candidates([seen(0.0, pose(0.0, 0.0))])
+        estimator.on_odometry(SECOND, pose(0, 0, aside))
+        before = estimator.place_probabilities().unmapped
+        estimator.on_failure(SECOND, num_features=400)
+        believed.append(estimator.place_probabilities().unmapped - before)
+    assert min(believed) > 1e-3
+    assert believed[0] == pytest.approx(believed[1], rel=0.2)
+
+
 def test_a_covered_lens_is_no_evidence() -> None:
     estimator = estimator_of(make_map())
     estimator.on_odometry(0, pose(0, 0))
