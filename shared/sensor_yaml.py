@@ -238,9 +238,9 @@ def read_folder_camera(folder: Path, image_size: Callable[[], tuple[int, int]]) 
         return read_bare_camera(yaml_path)
     if not text_path.is_file():
         raise DataError(f"{folder} has no camera.yaml (or camera-intrinsics.txt); write the camera's intrinsics there")
-    K = read_intrinsics_text(text_path)
+    (fx, _, cx), (_, fy, cy), _ = read_intrinsics_text(text_path).tolist()
     width, height = image_size()  # and 30 images a second, as 7-Scenes has them
-    return CameraCalibration(width=width, height=height, fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], rate_hz=30.0)
+    return CameraCalibration(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, rate_hz=30.0)
 
 
 def read_folder_depth(folder: Path, image_size: Callable[[], tuple[int, int]]) -> DepthCalibration | None:

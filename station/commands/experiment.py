@@ -145,7 +145,7 @@ def reconstruct(
     for number, opened in enumerate(inputs, start=1):
         start = time.perf_counter()
         if isinstance(opened.source, Dataset):
-            made = run_with_progress(backends[number], opened.source)
+            made = run_with_progress(backends[number], opened.source, threads)
             made = replace(made, id=f"{opened.path.resolve().name}-{made.id}")
             save_navigation(made, out / f"navigation{number}")
             navigations.append(made)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from shared.errors import DataError
 from station.commands.map_store import open_map
 from station.files.navigation_folder import load_navigation
 from station.model.navigation import Navigation
@@ -24,7 +25,13 @@ NavigationArgument = Annotated[
 def open_navigation(source: str, data: Path | None, config: Path | None) -> Navigation:
     """A navigation, or the one that a map was made from. Raises DataError where there is none, or a damaged one."""
     folder = navigation_folder(Path(source))
-    return load_navigation(folder) if folder is not None else open_map(source, data, config).navigation
+    if folder is not None:
+        return load_navigation(folder)
+    if len(Path(source).parts) > 1 and not Path(source).is_dir():
+        raise DataError(
+            f"{source} is no folder; give one written by `station slam` or `station map build`, or a map's id"
+        )
+    return open_map(source, data, config).navigation
 
 
 def navigation_folder(source: Path) -> Path | None:

@@ -20,6 +20,7 @@ from station.slam.backend import SlamBackend
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
 from station.slam.ukf.start.starter import GivenState
+from station.workers.repeatable import repeatable
 
 
 def register(app: typer.Typer) -> None:
@@ -55,7 +56,7 @@ def slam(
         raise DataError(f"{dataset} holds no camera images; choose a dataset with images")
     given = given_state(data) if initial_state == "given" else None
     running = make_backend(backend, data.calibration, seed, threads, data.intrinsics_known, landmarks, given)
-    nav = run_with_progress(running, data)
+    nav = run_with_progress(running, data, threads)
     save_navigation(nav, out)
     if as_json:
         print(json.dumps({"out": str(out), **msgspec.to_builtins(nav.report)}, default=str))
@@ -78,9 +79,12 @@ def given_state(data: Dataset) -> GivenState:
     )
 
 
-def run_with_progress(backend: SlamBackend, data: Dataset) -> Navigation:
-    """Run over a dataset with a progress bar on stderr; without one where stderr is no terminal."""
-    with working(f"opening {data.path.name}") as bar:
+def run_with_progress(backend: SlamBackend, data: Dataset, threads: int) -> Navigation:
+    """Run over a dataset with a progress bar on stderr; without one where stderr is no terminal.
+
+    As a station does: with more threads for small matrices, `mono` and the filter take many times the processor time.
+    """
+    with working(f"opening {data.path.name}") as bar, repeatable(threads):
         bar.step("reading frames", len(data.frame_times_ns))
         return run_backend(
             backend, data.events(), lambda update: bar.advance(update.message), lambda: bar.step("making the map")

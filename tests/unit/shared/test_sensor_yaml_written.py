@@ -10,7 +10,7 @@ import pytest
 from shared.calibration import REFERENCE_CAMERA, REFERENCE_IMU, CameraCalibration, ImuNoise
 from shared.calibration_yaml import camera_sensor_text, imu_sensor_text, read_imu
 from shared.errors import DataError
-from shared.sensor_yaml import read_camera, read_rig, read_yaml
+from shared.sensor_yaml import read_camera, read_folder_camera, read_rig, read_yaml
 
 FISHEYE = msgspec.structs.replace(
     REFERENCE_CAMERA, model="equidistant", distortion=(0.1 + 0.2, -1e-17, 0.0, 3.0), is_measured=False
@@ -24,6 +24,13 @@ def test_a_camera_is_read_back_as_it_was(camera: CameraCalibration, tmp_path: Pa
     path.write_text(camera_sensor_text(camera, rig="hand-held"))
     assert read_camera(path) == camera
     assert read_rig(read_yaml(path), path) == "hand-held"
+
+
+def test_a_camera_matrix_as_text_gives_numbers_that_can_be_written(tmp_path: Path) -> None:
+    (tmp_path / "camera-intrinsics.txt").write_text("585.0 0.0 320.0\n0.0 584.5 240.0\n0.0 0.0 1.0\n")
+    camera = read_folder_camera(tmp_path, lambda: (640, 480))
+    assert msgspec.json.decode(msgspec.json.encode(camera), type=CameraCalibration) == camera
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (585.0, 584.5, 320.0, 240.0)
 
 
 LENS = "resolution: [640, 480]\nintrinsics: [500, 500, 320, 240]\n"
