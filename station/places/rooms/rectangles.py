@@ -141,7 +141,7 @@ def _scores(surfaces: Surfaces, sides: Sides, model: WallModel, planes: list[Int
     return np.asarray(score)
 
 
-LEAST_DRIVEN_M2 = PIECE_M  # half a metre of the way's width
+LEAST_DRIVEN_M2 = 3 * PIECE_M * 1.0  # a metre of the way, three cells wide: who only touches a part has not entered it
 
 
 def _packed(choices: _Choices, surfaces: Surfaces) -> Packed:

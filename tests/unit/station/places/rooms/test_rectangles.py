@@ -36,6 +36,11 @@ def test_two_rooms_are_two_rectangles_on_their_walls() -> None:
     assert np.abs(edges - [[0.0, 4.0, 0.0, 4.0], [4.1, 8.1, 0.0, 4.0]]).max() < 0.03
 
 
+def test_a_room_that_the_robot_only_reached_into_was_not_entered() -> None:
+    _, _, found = packed(TWO_ROOMS, ((2.0, 2.0), (3.0, 1.95), (4.6, 1.95)))
+    assert len(found.rectangles) == 1
+
+
 def test_no_two_rectangles_lie_over_each_other() -> None:
     _, _, found = packed(ELL, WAY_OF_ELL)
     for a in found.rectangles:
