@@ -82,7 +82,7 @@ class CurrentPlaceEstimator:
         self._odometry: deque[_OdometryPose] = deque(maxlen=HISTORY)
         self._segment = 0
         self._t_ns: int | None = None  # up to which time the belief is predicted
-        self._failed_views = RecentViews(self.config.memory_s)  # what was recognised there before says nothing of these
+        self._views = RecentViews(self.config.memory_s)  # of the images that were weighed
         self._failed_before = NO_IMAGE_BEFORE
         self._numbers = count(1)
         self._believed: Hypothesis | None = None  # where the robot was known to be
@@ -133,6 +133,7 @@ class CurrentPlaceEstimator:
         before = self._belief
         image = self._evidence.of_candidates(ours, before, T_nav_body, aim)
         self._weigh(image, T_nav_body)
+        self._views.add(t, T_nav_body @ aim.T_body_head, is_failed=False)
         self._failed_before = 0.0
         jump = self._believe(t, T_nav_body)
         if self._believed is not None and self._believed_ns == t:
@@ -153,14 +154,14 @@ class CurrentPlaceEstimator:
         freshness = self._freshness(t_robot_ns, T_nav_head)
         image = self._evidence.of_failure(features, self._failed_before, self._belief, T_nav_body, freshness, aim)
         self._weigh(image, T_nav_body)
-        self._failed_views.add(t_robot_ns, T_nav_head)
+        self._views.add(t_robot_ns, T_nav_head, is_failed=True)
         self._failed_before = 1.0
 
     def on_hijack(self, t_robot_ns: int, reason: str, confidence: float = 0.98) -> None:
         """The robot was picked up: what was known of its position counts `1 - confidence`."""
         self._predict(t_robot_ns)
         self._belief = prune(predict_hijack(self._belief, confidence, self.config), self.config)
-        self._failed_views.clear()
+        self._views.clear()
         self._failed_before = NO_IMAGE_BEFORE
         self._believed = None
         self._hijack_reason = reason
@@ -208,7 +209,7 @@ class CurrentPlaceEstimator:
         last = self._odometry[-1]
         self._odometry.clear()
         self._odometry.append(last)
-        self._failed_views.clear()
+        self._views.clear()
         self._failed_before = NO_IMAGE_BEFORE
         self._pass_time(t_robot_ns)
 
@@ -277,10 +278,10 @@ class CurrentPlaceEstimator:
                 return
 
     def _freshness(self, t_robot_ns: int, T_nav_head: FloatArray) -> float:
-        """0..1: how far the view is another one than all that failed lately; without odometry nobody knows."""
+        """0..1: how far the view is another than the last one and all that failed lately; 1 without odometry."""
         if not self._odometry:
             return 1.0
-        return min(self._failed_views.change(t_robot_ns, T_nav_head) / self.config.new_view_rad, 1.0)
+        return min(self._views.change(t_robot_ns, T_nav_head) / self.config.new_view_rad, 1.0)
 
     def _nav_body_at(self, t_robot_ns: int) -> FloatArray:
         """The odometry pose nearest in time; identity without odometry."""

@@ -14,10 +14,17 @@ class RecentViews:
     def __init__(self, memory_s: float) -> None:
         self._memory_ns = round(memory_s * 1e9)
         self._views: list[tuple[int, FloatArray]] = []  # robot time and T_nav_head of each
+        self._is_last_failed = True
 
-    def add(self, t_robot_ns: int, T_nav_head: FloatArray) -> None:
-        """Where the head was when an image was taken."""
-        self._views = [*self._lately(t_robot_ns), (t_robot_ns, T_nav_head)]
+    def add(self, t_robot_ns: int, T_nav_head: FloatArray, *, is_failed: bool) -> None:
+        """Where the head was when an image was taken, and whether that was not recognised.
+
+        A recognised one is forgotten with the next image: where it was recognised before, failing is news.
+        """
+        views = self._lately(t_robot_ns)
+        if views and not self._is_last_failed:
+            views = views[:-1]
+        self._views, self._is_last_failed = [*views, (t_robot_ns, T_nav_head)], is_failed
 
     def clear(self) -> None:
         """Odometry's frame is another one, or the robot elsewhere."""
