@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from typing import Annotated, Literal
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from fastapi import APIRouter, Query, Response
@@ -14,6 +15,7 @@ from station.api.problems import responses
 from station.api.schema.base import NewName
 from station.api.schema.rooms import FloorPlanModel, RoomMerge, RoomModel, RoomSplit, floor_plan_model, room_model
 from station.app import Station
+from station.library.active_maps import ActiveMap
 from station.model.floor_plan import FloorPlan
 from station.model.place_map import PlaceMap
 from station.places.making.changes import without_hidden
@@ -27,6 +29,7 @@ DRAWN: dict[str, tuple[Callable[[FloorPlan, PlaceMap], bytes], str]] = {
     "svg": (floorplan_svg, "image/svg+xml"),
     "png": (floorplan_png, "image/png"),
 }
+_PLANS: WeakKeyDictionary[ActiveMap, bytes] = WeakKeyDictionary()  # as JSON
 
 
 @router.get("/rooms", summary="Rooms of the active map", responses=responses(409))
@@ -82,14 +85,21 @@ async def erase(door_id: str, station: StationDep) -> list[RoomModel]:
 )
 async def floorplan(
     station: StationDep, format: Annotated[Literal["json", "geojson", "svg", "png"], Query()] = "json"
-) -> FloorPlanModel | Response:
+) -> Response:
     """JSON as the page draws it; a GeoJSON FeatureCollection in map units; or a drawing to print."""
     active = station.maps.active.require_first()
     plan = active.require_plan()
     if format == "json":
-        return await asyncio.to_thread(floor_plan_model, active)
+        return Response(await asyncio.to_thread(_plan_json, active), media_type="application/json")
     make, media_type = DRAWN[format]
     return Response(await asyncio.to_thread(make, plan, without_hidden(active.place_map)), media_type=media_type)
+
+
+def _plan_json(active: ActiveMap) -> bytes:
+    """Made once for each map in use, which changes make another one: of a thousand rooms it has a megabyte."""
+    if (made := _PLANS.get(active)) is None:
+        made = _PLANS[active] = floor_plan_model(active).model_dump_json().encode()
+    return made
 
 
 def _rooms(station: Station) -> list[RoomModel]:

@@ -20,7 +20,7 @@ from station.model.points import NO_PLACE
 from station.places.making.colours import number_places
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class ActiveMap:
     """A map in use, and what is derived from it once."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -140,12 +140,12 @@ def floor_plan_model(active: ActiveMap) -> FloorPlanModel:
                 room,
                 named=room.id in place_map.plan_edits.names,
                 middle=_rounded(room.middle),
-                outline=[[_rounded(p) for p in line] for line in outline],
+                outline=[_all_rounded(line) for line in outline],
             )
             for room, outline in zip(plan.rooms, outlines, strict=True)
         ],
         doors=[_door_model(door) for door in plan.doors],
-        walls=[[_rounded(p) for p in wall] for wall in plan.walls],
+        walls=_all_rounded(plan.walls),
         places=[
             PlanPlace(
                 id=place.id,
@@ -159,7 +159,7 @@ def floor_plan_model(active: ActiveMap) -> FloorPlanModel:
             )
             for place in active.visible_places
         ],
-        path=[_rounded(p) for p in driven_path(place_map.navigation, R)],
+        path=_all_rounded(driven_path(place_map.navigation, R)),
     )
 
 
@@ -175,6 +175,12 @@ def _suggestion_model(active: ActiveMap, suggestion: NameSuggestion) -> NameSugg
         image=None if index is None else f"/maps/{active.place_map.id}/images/{index}.jpg",
         corners_px=None if corners is None else corners.tolist(),
     )
+
+
+def _all_rounded(points: FloatArray) -> list[Any]:
+    """Points (..., 2) likewise, at once."""
+    rounded: list[Any] = np.round(points, 3).tolist()
+    return rounded
 
 
 def _rounded(p: FloatArray) -> Point:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, IntArray
 from station.model.floor_plan import NO_ROOM, OCCUPIED, FloorPlan
 from station.model.place_map import PlaceMap
 
@@ -91,18 +91,13 @@ def room_colour(number: int) -> Colour:
 def room_outlines(plan: FloorPlan) -> list[list[FloatArray]]:
     """For each room its closed outlines (n, 2), map units on the ground; the first one is the largest."""
     found: list[list[FloatArray]] = []
-    cells = np.argwhere(plan.room != NO_ROOM)
-    numbers = plan.room[tuple(cells.T)]
-    low, high = np.tile(plan.room.shape, (len(plan.rooms), 1)), np.zeros((len(plan.rooms), 2), dtype=np.int64)
-    np.minimum.at(low, numbers, cells)
-    np.maximum.at(high, numbers, cells + 1)
-    for number, (begin, end) in enumerate(zip(low, high, strict=True)):
+    for number, (begin, end) in enumerate(zip(*_boxes(plan), strict=True)):
         if (end <= begin).any():
             found.append([])
             continue
         mask = np.pad(plan.room[begin[0] : end[0], begin[1] : end[1]] == number, 1).astype(np.uint8)
         # Twice as fine, so that the outline runs around the cells and not through their middles.
-        fine = np.kron(mask, np.ones((2, 2), dtype=np.uint8))
+        fine = mask.repeat(2, axis=0).repeat(2, axis=1)
         outlines, _ = cv2.findContours(fine, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         corner = plan.low + plan.cell * (begin - 1)
         pieces = []
@@ -112,6 +107,19 @@ def room_outlines(plan: FloorPlan) -> list[list[FloatArray]]:
                 pieces.append(corner + plan.cell * (smooth + 0.5) / 2)
         found.append(pieces)
     return found
+
+
+def _boxes(plan: FloorPlan) -> tuple[IntArray, IntArray]:
+    """(rooms, 2) the first cell of each room along both axes, and the one after its last; equal where it has none."""
+    cells = np.argwhere(plan.room != NO_ROOM)
+    numbers = plan.room[tuple(cells.T)]
+    order = np.argsort(numbers, kind="stable")
+    own, first = np.unique(numbers[order], return_index=True)
+    low, high = np.zeros((len(plan.rooms), 2), dtype=np.int64), np.zeros((len(plan.rooms), 2), dtype=np.int64)
+    if len(own):
+        low[own], high[own] = (of.reduceat(cells[order], first, axis=0) for of in (np.minimum, np.maximum))
+        high[own] += 1
+    return low, high
 
 
 def _rooms(plan: FloorPlan, is_metric: bool) -> tuple[DrawnRoom, ...]:

@@ -13,6 +13,7 @@ export interface DrawingEvents {
 }
 
 const NAME_PX = 8.2; // width of a letter of a room's name
+const DOT_PX = 6; // radius
 const SCALE_BARS_M = [0.5, 1, 2, 5, 10, 20];
 
 /** Everything of the plan that does not move. */
@@ -22,9 +23,9 @@ export function drawPlan(plan: FloorPlanModel, fit: Fit, height: number, events:
     {},
     draw("g", { class: "plan-rooms" }, ...plan.rooms.map((room, i) => drawRoom(room, i, fit, events))),
     draw("path", { class: "plan-path", d: openPath(plan.path, fit) }),
-    draw("g", { class: "plan-walls" }, ...plan.walls.map((wall) => line(wall, fit, {}))),
+    draw("path", { class: "plan-walls", d: plan.walls.map((wall) => openPath(wall, fit)).join("") }),
     draw("g", { class: "plan-doors" }, ...plan.doors.map((door) => drawDoor(door, plan, fit, events))),
-    draw("g", { class: "plan-places" }, ...plan.places.map((place) => drawPlace(place, fit, events))),
+    draw("g", { class: "plan-places" }, ...shown(plan, fit).map((place) => drawPlace(place, fit, events))),
     draw("g", { class: "plan-names" }, ...plan.rooms.flatMap((room) => drawName(room, fit))),
     ...(plan.metric ? [drawScale(fit, height)] : []),
   );
@@ -68,11 +69,16 @@ function drawDoor(door: DoorModel, plan: FloorPlanModel, fit: Fit, { onDoor }: D
 
 function drawPlace(place: PlanPlace, fit: Fit, { onPlace, onHover }: DrawingEvents): SVGElement {
   const [x, y] = fit.toScreen(place.at);
-  const dot = draw("circle", { class: "plan-place", cx: x, cy: y, r: 6, "data-dot": place.id });
+  const dot = draw("circle", { class: "plan-place", cx: x, cy: y, r: DOT_PX, "data-dot": place.id });
   dot.style.setProperty("--own", colourOf(place.colour));
   for (const type of ["pointerenter", "focus"]) dot.addEventListener(type, () => onHover(place, [x, y]));
   for (const type of ["pointerleave", "blur"]) dot.addEventListener(type, () => onHover(null, [x, y]));
   return pressable(dot, place.name, () => onPlace(place));
+}
+
+/** None where a metre is smaller than a dot: they would cover their rooms. */
+function shown(plan: FloorPlanModel, fit: Fit): PlanPlace[] {
+  return fit.length(plan.unit) < 2 * DOT_PX ? [] : plan.places;
 }
 
 function drawScale(fit: Fit, height: number): SVGElement {
