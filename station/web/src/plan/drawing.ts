@@ -13,6 +13,7 @@ export interface DrawingEvents {
 }
 
 const NAME_PX = 8.2; // width of a letter of a room's name
+const LEAST_LETTERS = 5; // of fewer nobody knows what they begin
 const DOT_PX = 6; // radius
 const SCALE_BARS_M = [0.5, 1, 2, 5, 10, 20];
 
@@ -46,8 +47,8 @@ function drawName(room: PlanRoom, fit: Fit): SVGElement[] {
   const [x, y] = fit.toScreen(room.middle);
   const across = room.outline.flat().map((at) => fit.toScreen(at)[0]);
   const space = Math.max(...across, x) - Math.min(...across, x);
-  if (space < NAME_PX * 3) return [];
   const letters = Math.floor(space / NAME_PX);
+  if (letters < Math.min(room.name.length, LEAST_LETTERS)) return [];
   const name = room.name.length > letters ? `${room.name.slice(0, Math.max(letters - 1, 1))}…` : room.name;
   const text = draw("text", { x, y, "data-room": room.id }, name);
   if (!room.named) text.classList.add("unnamed");
