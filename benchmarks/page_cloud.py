@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import time
+from collections.abc import AsyncIterator
 
 import numpy as np
 from playwright.async_api import Browser, Page
@@ -50,20 +51,26 @@ class LargeCloud(StraightSlam):
         return SlamUpdate(update.t_robot_ns, "tracking", "large", update.T_world_body, POINTS, False, p, np.abs(p) * 40)
 
 
-async def measure_first_paint(browser: Browser, address: str, repeats: int = 5) -> dict[str, float | None]:
-    """Milliseconds after the navigation began, the median of fresh pages with an empty cache."""
-    found: dict[str, list[float]] = {"first_contentful_paint": [], "place": [], "picture": [], "cloud": []}
+async def fresh_pages(browser: Browser, address: str, script: str, repeats: int) -> AsyncIterator[Page]:
+    """One after the other, each with an empty cache and with a script that runs before its own."""
     for _ in range(repeats):
         context = await browser.new_context(viewport={"width": 1440, "height": 900})
         page = await context.new_page()
-        await page.add_init_script(WATCH_FIRST)
+        await page.add_init_script(script)
         await page.goto(address)
+        yield page
+        await context.close()
+
+
+async def measure_first_paint(browser: Browser, address: str, repeats: int = 5) -> dict[str, float | None]:
+    """Milliseconds after the navigation began, the median of fresh pages with an empty cache."""
+    found: dict[str, list[float]] = {"first_contentful_paint": [], "place": [], "picture": [], "cloud": []}
+    async for page in fresh_pages(browser, address, WATCH_FIRST, repeats):
         await page.wait_for_selector("#map-count:has-text('landmarks')")
         await page.wait_for_selector("#video[data-seq]")
         found["first_contentful_paint"].append(await page.evaluate(PAINT) or math.nan)
         for name, at in (await page.evaluate("() => window.first")).items():
             found[name].append(at)
-        await context.close()
     return {f"{name}_ms": round(float(np.median(times)), 1) if times else None for name, times in found.items()}
 
 

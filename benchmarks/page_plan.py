@@ -8,16 +8,17 @@ from pathlib import Path
 import numpy as np
 from playwright.async_api import Browser
 
+from benchmarks.page_cloud import fresh_pages
 from shared.geometry import FloatArray
 from station.maps.store import MapStore
 from station.model.floor_plan import FREE, NO_ROOM, UNSEEN, Door, FloorPlan, Room
-from station.model.place_map import Place, PlaceMap
+from station.model.place_map import PlaceMap
 from tests.support.places import make_map
 
 COLUMNS, ROWS = 40, 25
 ROOM_M, WALL_M, DOOR_M, CELL_M = (4.0, 3.0), 0.1, 0.9, 0.1
 PLACES = ((0.5, 0.5), (0.25, 0.3), (0.75, 0.7))  # of each room, as shares of its sides
-# From the moment the page asks for its plan until the picture with all rooms' names has been drawn.
+# From the moment the page asks for its plan until the picture with all rooms has been drawn.
 WATCH_PLAN = """
   new MutationObserver((_, observer) => {
     if (!document.querySelector('.plan-names')) return;
@@ -46,11 +47,13 @@ def store_large_home(data_dir: Path) -> PlaceMap:
     room = np.full(np.round(np.array([COLUMNS, ROWS]) * step / CELL_M).astype(int), NO_ROOM, dtype=np.int16)
     for k, (x, y) in enumerate(np.round(corners / CELL_M).astype(int)):
         room[x : x + cells[0], y : y + cells[1]] = k
-    places = tuple(
-        replace(base.places[0], id=f"place-{k}-{n}", name=f"Room {k + 1} · {n + 1}", centroid_map=np.append(at, 0.5))
-        for k, corner in enumerate(corners)
-        for n, at in enumerate(corner + np.array(PLACES) * ROOM_M)
-    )
+    places = {
+        replace(
+            base.places[0], id=f"{room.id}-{n}", name=f"{room.name} · {n}", centroid_map=np.append(at, 0.5)
+        ): room.id
+        for room, corner in zip(rooms, corners, strict=True)
+        for n, at in enumerate(corner + np.array(PLACES) * ROOM_M, start=1)
+    }
     plan = FloorPlan(
         R_ground_map=np.eye(3),
         low=np.zeros(2),
@@ -61,15 +64,11 @@ def store_large_home(data_dir: Path) -> PlaceMap:
         rooms=rooms,
         doors=tuple(_doors(corners)),
         walls=np.concatenate([_walls(corner) for corner in corners]),
-        room_of_place={place.id: _room_of(place) for place in places},
+        room_of_place={place.id: room_id for place, room_id in places.items()},
     )
-    place_map = replace(base, name="A thousand rooms", places=places, plan=plan)
+    place_map = replace(base, name="A thousand rooms", places=tuple(places), plan=plan)
     MapStore(data_dir / "maps").save(place_map)
     return place_map
-
-
-def _room_of(place: Place) -> str:
-    return f"room-{place.id.split('-')[1]}"
 
 
 def _doors(corners: FloatArray) -> list[Door]:
@@ -94,12 +93,7 @@ def _walls(corner: FloatArray) -> FloatArray:
 async def measure_plan(browser: Browser, address: str, repeats: int = 5) -> dict[str, float]:
     """Milliseconds, the median of fresh pages; and how many rooms were drawn."""
     found = []
-    for _ in range(repeats):
-        context = await browser.new_context(viewport={"width": 1440, "height": 900})
-        page = await context.new_page()
-        await page.add_init_script(WATCH_PLAN)
-        await page.goto(address)
+    async for page in fresh_pages(browser, address, WATCH_PLAN, repeats):
         await page.wait_for_function("() => window.planDrawn")
         found.append(await page.evaluate(PLAN_TIMES))
-        await context.close()
     return {name: float(np.median([times[name] for times in found])) for name in found[0]}

@@ -345,14 +345,19 @@ async def test_the_link_says_what_is_wrong_with_a_robot_and_keeps_trying(answer:
 
 
 async def test_a_robot_that_talks_without_end_leaves_others_their_turn_and_the_log_room(
-    caplog: pytest.LogCaptureFixture,
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     said: list[Message] = [msgspec.structs.replace(HELLO, protocol=PROTOCOL_VERSION), Welcome(client_id=1)]
     said += [ErrorNotice(code="device", message=f"it is {number} degrees too warm") for number in range(500)]
     server = await false_robot(says(b"".join(map(packed, said))))
     async with most_in_a_turn() as (note, most), linked(server.sockets[0].getsockname()[1]) as (_, notes):
         on_notice = notes.on_notice
-        notes.on_notice = lambda notice: (on_notice(notice), note(notice))[0]  # type: ignore[method-assign]
+
+        def counted(notice: ErrorNotice) -> None:
+            on_notice(notice)
+            note(notice)
+
+        monkeypatch.setattr(notes, "on_notice", counted)
         await until(lambda: len(notes.notices) >= 500)
     server.close()
     assert most() <= 2 * MESSAGES_AT_A_TIME
