@@ -10,9 +10,8 @@ import numpy as np
 
 from shared.geometry import FloatArray, IntArray
 from station.places.rooms.rectangles import Rectangle
-from station.places.rooms.sides import DOOR_PIECES, Sides, gaps_of
-from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Surfaces
-from station.places.rooms.wall_model import WallModel
+from station.places.rooms.sides import Sides, gaps_of
+from station.places.rooms.surfaces import DOOR_PIECES, LINE_M, PIECE_M, SIDES, Surfaces
 
 THICK_M = 0.35  # a wall at most, and errors of both its faces
 PASSED = -1e4  # nats for a wall where the body was, in sums
@@ -50,9 +49,7 @@ def settled(rectangles: Sequence[Rectangle], surfaces: Surfaces) -> FloatArray:
     return out
 
 
-def find_borders(
-    rectangles: Sequence[Rectangle], edges: FloatArray, surfaces: Surfaces, sides: Sides, model: WallModel
-) -> Borders:
+def find_borders(rectangles: Sequence[Rectangle], edges: FloatArray, surfaces: Surfaces, sides: Sides) -> Borders:
     """How every two rectangles side by side belong together. `edges`: where they settled."""
     joined, passages, lead = [], [], {}
     for (a, first), (b, second), axis in _neighbours(rectangles):
@@ -62,7 +59,8 @@ def find_borders(
             own = r.pieces(axis)
             part = slice(max(own.start, low), min(own.stop, high))
             odds[part.start - low : part.stop - low] += sides.odds[axis, sign][r.plane((axis, sign)), part]
-        odds_of_wall, doors = wall_with_doors(odds, model)
+        faces = [second.plane((axis, 1)), first.plane((axis, -1))]  # the frame shows in either
+        odds_of_wall, doors = wall_with_doors(odds, sides.door[axis][faces, low:high].min(axis=0))
         lead[a, b] = abs(odds_of_wall)
         if odds_of_wall <= 0:
             joined.append((a, b))
@@ -76,23 +74,24 @@ def find_borders(
     return Borders(tuple(joined), lead, tuple(passages))
 
 
-def wall_with_doors(odds: FloatArray, model: WallModel) -> tuple[float, list[tuple[int, int]]]:
+def wall_with_doors(odds: FloatArray, cost: FloatArray) -> tuple[float, list[tuple[int, int]]]:
     """Nats for a wall against nothing at all, and where its doors begin and end: the likeliest of all ways.
 
     Between two doors is at least as much wall as a door is wide: a cupboard in an opening does not make two of it.
 
     Args:
         odds: (pieces,) for a wall, minus infinity where the body passed.
+        cost: (pieces, DOOR_PIECES) of a door that begins with a piece and is so wide.
     """
     wall = np.concatenate([[0.0], np.cumsum(np.maximum(odds, PASSED))])  # all that is before a piece
     # Of a wall up to a piece, less all of it: the doors that it has, the last of which may end so late.
     best: list[tuple[float, list[tuple[int, int]]]] = []
     for end in range(len(wall)):
         found = best[-1] if best else (0.0, [])
-        for pieces in DOOR_PIECES:
+        for width, pieces in enumerate(DOOR_PIECES):
             if pieces <= end:
                 before = best[max(end - pieces - DOOR_PIECES[0], 0)]
-                gained = before[0] - float(wall[end] - wall[end - pieces]) - model.door
+                gained = before[0] - float(wall[end] - wall[end - pieces] + cost[end - pieces, width])
                 if gained > found[0]:
                     found = gained, [*before[1], (end - pieces, end)]
         best.append(found)

@@ -9,10 +9,11 @@ A room of another shape is several rectangles: what lies open between them joins
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
+from scipy import ndimage, sparse
 from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
 from shared.geometry import FloatArray, IntArray
@@ -70,35 +71,45 @@ class Packed:
 
     rectangles: tuple[Rectangle, ...]
     lead: tuple[float, ...]  # nats: of this set before the best one without this rectangle or one nearly the same
+    worth: float  # nats
 
 
 def find_rectangles(surfaces: Surfaces, sides: Sides, model: WallModel) -> Packed:
     """The best set of rectangles that the body entered."""
     walls = {side: strongest_planes(sides.odds[side], MOST_PLANES) for side in SIDES}
     # An open side shows no wall: it begins where another rectangle's wall ends.
-    opposite = {(axis, sign): strongest_planes(sides.odds[axis, -sign], MOST_OPEN) for axis, sign in SIDES}
-    planes = [np.union1d(walls[side], opposite[side]) for side in SIDES]
+    opposite = {(axis, sign): walls[axis, -sign][:MOST_OPEN] for axis, sign in SIDES}
+    framed = {axis: framed_planes(sides.door[axis], model) for axis in (0, 1)}  # of walls that show nothing else
+    planes = [functools.reduce(np.union1d, (walls[side], opposite[side], framed[side[0]])) for side in SIDES]
     if not all(len(found) for found in planes):
-        return Packed((), ())
+        return Packed((), (), 0.0)
     return _packed(_Choices(planes, _scores(surfaces, sides, model, planes)), surfaces)
 
 
 def strongest_planes(odds: FloatArray, most: int) -> IntArray:
-    """Numbers of the planes with the likeliest walls.
+    """Numbers of the planes with the likeliest walls, the strongest first.
 
     Of planes nearer to each other than a wall is thick each stretch of landmarks counts on the best one only.
     """
     left = odds.copy()
     reach = round(WALL_M / LINE_M)
     strength, begin, end = best_runs(left)
-    found: set[int] = set()
+    found: dict[int, None] = {}
     while len(found) < most and strength.max() > 0:
         k = int(strength.argmax())
-        found.add(k)
+        found[k] = None
         left[max(k - reach, 0) : k + reach + 1, begin[k] : end[k]] = -np.inf
         near = slice(max(k - 2 * reach, 0), k + 2 * reach + 1)
         strength[near], begin[near], end[near] = best_runs(left[near])
-    return np.array(sorted(found), dtype=np.int64)
+    return np.array(list(found), dtype=np.int64)
+
+
+def framed_planes(door: FloatArray, model: WallModel) -> IntArray:
+    """Numbers of the planes with the frame of a door; of planes beside each other that which shows it best."""
+    cost = door.min(axis=(1, 2))
+    is_least = (cost < model.door) & (cost == ndimage.minimum_filter1d(cost, 2 * round(WALL_M / LINE_M) + 1))
+    begins = is_least & ~np.concatenate([[False], is_least[:-1]])
+    return np.flatnonzero(begins)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,7 +195,7 @@ def _packed(choices: _Choices, surfaces: Surfaces) -> Packed:
     for k in chosen:
         others = np.array([columns[k].overlap(r) <= SAME for r in columns])
         lead.append(best - sum(score[other] for other in packing.chosen(others)))
-    return Packed(tuple(columns[k] for k in chosen), tuple(lead))
+    return Packed(tuple(columns[k] for k in chosen), tuple(lead), best)
 
 
 def _most_gainful(choices: _Choices, gain: FloatArray, known: set[Rectangle]) -> list[int]:

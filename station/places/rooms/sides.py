@@ -7,12 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.geometry import FloatArray, IntArray
-from station.places.rooms.lengths import DOOR_M
-from station.places.rooms.surfaces import PIECE_M, SIDES, Side, Surfaces
+from station.places.rooms.surfaces import DOOR_PIECES, SIDES, Side, Surfaces
 from station.places.rooms.wall_model import WallModel
 from station.places.space.space import Cells
-
-DOOR_PIECES = range(round(DOOR_M[0] / PIECE_M) - 1, round(DOOR_M[1] / PIECE_M) + 2)  # either end may err by half of one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,6 +17,9 @@ class Sides:
     """Log odds of walls on the planes of `Surfaces`, seen from either side."""
 
     odds: dict[Side, FloatArray]  # (planes, pieces) of a wall
+    door: dict[
+        int, FloatArray
+    ]  # for planes across each axis (planes, pieces, DOOR_PIECES): cost of a door from there on
     is_wall: dict[Side, Cells]  # (planes, pieces) the likeliest labels of whole planes
     total: dict[Side, FloatArray]  # (planes, pieces + 1) cumulated score of these labels
     area: FloatArray  # (2 X + 1, 2 Y + 1) cumulated score of the cells below a pair of planes
@@ -29,20 +29,26 @@ def weigh_sides(surfaces: Surfaces, model: WallModel) -> Sides:
     """Odds of all planes at once."""
     table = np.array(model.wall)
     odds = {side: np.where(surfaces.passed[side[0]], -np.inf, table[surfaces.classes[side]]) for side in SIDES}
+    frame = model.frame_weight * np.array(model.frame)
+    door = {axis: model.door - frame[surfaces.frames[axis]] for axis in (0, 1)}
     is_wall, total = {}, {}
     for side in SIDES:
-        is_wall[side] = likeliest_walls(odds[side], model)
-        score = score_of(is_wall[side], odds[side], model)
+        is_wall[side] = likeliest_walls(odds[side], door[side[0]], model)
+        score = score_of(is_wall[side], odds[side], door[side[0]], model)
         total[side] = np.concatenate([np.zeros((len(score), 1)), np.cumsum(score, axis=1)], axis=1)
     cells = model.area_weight * np.array(model.area)[surfaces.area_classes]
     quarters = np.repeat(np.repeat(cells, 2, axis=0), 2, axis=1) / 4  # planes lie in the middle of cells, too
     area = np.zeros((quarters.shape[0] + 1, quarters.shape[1] + 1))
     area[1:, 1:] = quarters.cumsum(axis=0).cumsum(axis=1)
-    return Sides(odds, is_wall, total, area)
+    return Sides(odds, door, is_wall, total, area)
 
 
-def likeliest_walls(odds: FloatArray, model: WallModel) -> Cells:
-    """(planes, pieces) the best sequence of wall and gaps (Viterbi); a door may be a gap of the usual widths."""
+def likeliest_walls(odds: FloatArray, door: FloatArray, model: WallModel) -> Cells:
+    """(planes, pieces) the best sequence of wall and gaps (Viterbi); a door may be a gap of the usual widths.
+
+    Args:
+        door: (planes, pieces, DOOR_PIECES) cost of each.
+    """
     n, count = odds.shape
     wall = np.full((n, count + 1), -np.inf)  # best score so far that ends with a wall before piece j
     gap = np.full((n, count + 1), -np.inf)
@@ -50,9 +56,9 @@ def likeliest_walls(odds: FloatArray, model: WallModel) -> Cells:
     came = np.zeros((n, count + 1), dtype=np.int64)  # how many pieces of gap lie before the wall: 0, a door, or -1
     opened = np.zeros((n, count + 1), dtype=np.bool_)
     for j in range(1, count + 1):
-        before = np.stack(
-            [wall[:, j - 1], gap[:, j - 1], *(wall[:, max(j - 1 - d, 0)] - model.door for d in DOOR_PIECES)]
-        )
+        begin = [max(j - 1 - d, 0) for d in DOOR_PIECES]
+        behind_doors = (wall[:, k] - door[:, k, width] for width, k in enumerate(begin))
+        before = np.stack([wall[:, j - 1], gap[:, j - 1], *behind_doors])
         before[2:][np.array(DOOR_PIECES) > j - 1] = -np.inf
         best = before.argmax(axis=0)
         came[:, j] = np.array([0, -1, *DOOR_PIECES])[best]
@@ -78,22 +84,24 @@ def _traced(ends_with_wall: Cells, came: IntArray, opened: Cells) -> Cells:
     return is_wall
 
 
-def score_of(is_wall: Cells, odds: FloatArray, model: WallModel) -> FloatArray:
+def score_of(is_wall: Cells, odds: FloatArray, door: FloatArray, model: WallModel) -> FloatArray:
     """(planes, pieces) what labels gain or cost; all pieces of a gap bear its cost, also for sides that end in it."""
     edges = np.diff(np.pad(~is_wall, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     (row, begin), (_, end) = np.nonzero(edges == 1), np.nonzero(edges == -1)
-    share = gap_costs(end - begin, model) / (end - begin)
+    share = gap_costs(begin, end, door[row], model) / (end - begin)
     steps = np.zeros(edges.shape)
     steps[row, begin] = share
     steps[row, end] = -share
     return np.where(is_wall, odds, -steps.cumsum(axis=1)[:, :-1])
 
 
-def gap_costs(pieces: IntArray, model: WallModel) -> FloatArray:
-    """(n,) of gaps of so many pieces."""
+def gap_costs(begin: IntArray, end: IntArray, door: FloatArray, model: WallModel) -> FloatArray:
+    """(n,) of gaps from one piece to another (n,); `door` (n, pieces, DOOR_PIECES) of the plane of each."""
+    pieces = end - begin
     cost = model.gap + model.gap_piece * pieces
-    is_door = np.isin(pieces, DOOR_PIECES)
-    return np.asarray(np.where(is_door, np.minimum(cost, model.door), cost))
+    width = np.clip(pieces - DOOR_PIECES[0], 0, len(DOOR_PIECES) - 1)
+    as_door = door[np.arange(len(begin)), np.minimum(begin, door.shape[1] - 1), width]
+    return np.asarray(np.where(np.isin(pieces, DOOR_PIECES), np.minimum(cost, as_door), cost))
 
 
 def gaps_of(is_wall: Cells) -> list[tuple[int, int]]:

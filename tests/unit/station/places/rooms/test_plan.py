@@ -12,7 +12,7 @@ from shared.geometry import FloatArray, se3, sim3, transform, yaw_rotation
 from station.model.floor_plan import FloorPlan, PlanEdits
 from station.model.navigation import Navigation
 from station.model.place_map import Place
-from station.places.rooms.axes import TURNS, turn_to_walls
+from station.places.rooms.axes import TURNS, turns_to_walls
 from station.places.rooms.belonging import rooms_of_places
 from station.places.rooms.plan import make_floor_plan
 from station.places.rooms.surfaces import Seen
@@ -72,22 +72,22 @@ def test_an_l_shaped_room_is_one_room_without_its_missing_corner() -> None:
 @pytest.mark.parametrize("turn_deg", [-1.3, 0.25, 2.8])
 def test_axes_lie_along_walls_to_a_tenth_of_a_degree(turn_deg: float) -> None:
     askew = Seen.of(two_rooms(), np.eye(3)).turned(np.radians(turn_deg))
-    assert np.degrees(turn_to_walls(askew, wall_model())) == pytest.approx(-turn_deg, abs=0.1)
+    assert np.degrees(turns_to_walls(askew, wall_model())[0]) == pytest.approx(-turn_deg, abs=0.1)
 
 
 def test_without_a_wall_the_axes_stay() -> None:
-    nothing = Seen(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 4)), np.zeros((0, 2)))
+    nothing = Seen(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 4)), np.zeros((0, 2)))
     whole = Seen.of(two_rooms(), np.eye(3))
     for seen in (nothing, replace(whole, path=np.vstack([whole.path, whole.path + 5000.0]))):  # a drive through a town
-        assert turn_to_walls(seen, wall_model()) == 0.0
+        assert turns_to_walls(seen, wall_model()) == [0.0]
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_what_is_no_wall_turns_the_axes_by_a_few_degrees_at_most(seed: int) -> None:
     plant = np.random.default_rng(seed).normal([2.0, 0.3], 0.08, (60, 2))
     sights = np.column_stack([np.zeros_like(plant), 0.95 * plant])
-    seen = Seen(plant, -plant, sights, np.column_stack([np.linspace(-1.0, 1.0, 9), np.zeros(9)]))
-    assert abs(turn_to_walls(seen, wall_model())) <= TURNS[-1]
+    seen = Seen(plant, np.ones(60), -plant, sights, np.column_stack([np.linspace(-1.0, 1.0, 9), np.zeros(9)]))
+    assert max(map(abs, turns_to_walls(seen, wall_model()))) <= TURNS[-1]
 
 
 @pytest.mark.parametrize("yaw", [0.3, 1.2, -2.5])
