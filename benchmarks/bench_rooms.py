@@ -1,10 +1,12 @@
 """Are a flat's rooms, doors and walls found? Plans of simulated flats mapped by SLAM beside the simulator's truth.
 
     python -m benchmarks.bench_rooms --worlds home:600-609 plain:600-609 corner:600-609 large:600-604 [--cache DIR]
+    python -m benchmarks.bench_rooms --recorded ../shared/data/redkitchen:0-398 ../shared/data/euroc_v1_01_keyframes
 
 Flats are mapped where they are missing from the cache (room_flats.py; minutes each). One JSON line per flat; one
 without a map counts as a flat with a wrong number of rooms. `--poses true`: the simulator's poses and depths instead
-of SLAM's. A `corner` is a flat with an L-shaped room; an opening as wide as the arm of the L is no door.
+of SLAM's. A `corner` is a flat with an L-shaped room; an opening as wide as the arm of the L is no door. `--recorded`:
+recordings, or frames of them, that show one room, mapped by `sfm`.
 """
 
 from __future__ import annotations
@@ -22,12 +24,15 @@ from threadpoolctl import threadpool_limits
 from benchmarks.result import Figure, Run, add_results_option, share, work_folder
 from benchmarks.room_flats import FlatName, mapped_rooms, parse_worlds
 from benchmarks.room_truth import Judgement, judge
+from station.datasets import open_dataset
 from station.model.navigation import Navigation
 from station.places.making.scale import ground_rotation, units_per_metre
 from station.places.rooms.plan import make_floor_plan
 from station.places.space.carving import FARTHEST_M, Carving
 from station.places.space.sight import sights
 from station.places.space.space import CELL_M
+from station.slam.backends import make_backend
+from station.slam.run import run_backend
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +88,23 @@ def _carved_ms(navigation: Navigation) -> tuple[float, ...]:
         spent.append(1e3 * (time.process_time() - begin))
 
 
+def recorded_rooms(recording: str) -> int:
+    """How many rooms the plan of a recording has, `FOLDER` or `FOLDER:FIRST-LAST`."""
+    folder, _, frames = recording.partition(":")
+    first, last = map(int, frames.split("-")) if frames else (None, None)
+    data = open_dataset(Path(folder), first, last)
+    backend = make_backend("sfm", data.calibration, 0, 1, data.intrinsics_known)
+    return len(make_floor_plan(run_backend(backend, data.events()), ()).rooms)
+
+
+def recorded_figure(recordings: list[str]) -> Figure:
+    """Of recordings of one room each."""
+    rooms = {Path(recording).name: recorded_rooms(recording) for recording in recordings}
+    wrong = ", ".join(f"{name}: {count}" for name, count in rooms.items() if count != 1)
+    right = sum(count == 1 for count in rooms.values())
+    return share("recordings of one room whose plan has one", right, len(rooms), at_least=100, note=wrong)
+
+
 def figures(rows: list[Row]) -> list[Figure]:
     """Over all flats against what was asked, then the number of rooms of each kind."""
     judged = [row.judgement for row in rows if row.judgement is not None]
@@ -126,7 +148,8 @@ def _median(values: list[float]) -> float | None:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--worlds", nargs="+", required=True)
+    parser.add_argument("--worlds", nargs="+", default=[])
+    parser.add_argument("--recorded", nargs="+", default=[])
     parser.add_argument("--poses", choices=("slam", "true"), default="slam")
     parser.add_argument("--cache", type=Path, help="folder of mapped flats; usually in benchmarks/results/work")
     add_results_option(parser, "rooms")
@@ -134,10 +157,11 @@ def main() -> int:
     this_run = Run.begin()
     cache = a.cache or work_folder() / "room_flats"
     rows = []
-    for name in parse_worlds(a.worlds, a.poses):
+    for name in parse_worlds(a.worlds, a.poses) if a.worlds else ():
         rows.append(run(name, cache))
         print(rows[-1].line(), flush=True)
-    made = figures(rows)
+    made = figures(rows) if rows else []
+    made += [recorded_figure(a.recorded)] if a.recorded else []
     for figure in made:
         print(f"{figure.what}: {figure.value} {figure.unit}", file=sys.stderr)
     this_run.write(a.results, made)

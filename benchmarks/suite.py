@@ -89,6 +89,11 @@ SUITE = (
         "--worlds small:600",
     ),
     Benchmark(
+        "rooms_recorded", PLACES, "bench_rooms",
+        f"--recorded {DATA}/redkitchen:0-398 {DATA}/redkitchen:500-698 {DATA}/euroc_v1_01_keyframes", None,
+        data=f"{DATA}/redkitchen",
+    ),
+    Benchmark(
         "depth", PLACES, "bench_depth", f"--data {DATA}/redkitchen", f"--data {DATA}/redkitchen --passes 500-698",
         data=f"{DATA}/redkitchen",
     ),
