@@ -34,6 +34,8 @@ from robot.simulation.routes import plan_route
 from robot.simulation.worlds import make_world
 from shared.calibration import Calibration
 from shared.geometry import FloatArray
+from station.model.floor_plan import FREE, NO_ROOM, UNSEEN, FloorPlan
+from station.model.floor_plan import Room as PlanRoom
 from station.model.frames import ImageFrame
 from station.model.navigation import Keyframes, Landmarks
 from station.model.place_map import Place, PlaceMap
@@ -46,6 +48,8 @@ from tests.support.drives.routes import Plan
 
 BASE_ROOMS = 2
 SPACING_M = 12.0  # between the copies
+ROOM_M = 8.0  # of the square that is a copy's room
+CELL_M = 0.2
 KEYFRAMES_PER_ROOM = 16
 VISIT = 12  # images of one room before the robot is put into another one
 ANSWER_WITHIN_MS = 200.0  # asked at 95 %, with 1000 rooms too
@@ -126,7 +130,7 @@ def offset_of(copy: int) -> FloatArray:
 
 def build_copies(rooms: list[Room], count: int) -> tuple[PlaceMap, list[KeyframeFeatures]]:
     """One map of `count` rooms, and its keyframes' features."""
-    poses, points, places, described = [], [], [], []
+    poses, points, covariances, places, described = [], [], [], [], []
     seen, seen_from, seen_at = [], [], []
     num_landmarks, num_keyframes = 0, 0
     for copy in range(count):
@@ -140,6 +144,7 @@ def build_copies(rooms: list[Room], count: int) -> tuple[PlaceMap, list[Keyframe
         places += [_moved(place, copy, offset, num_landmarks, num_keyframes) for place in room.place_map.places]
         poses.append(T)
         points.append(navigation.landmarks.p_world + offset)
+        covariances.append(navigation.landmarks.cov_world)
         seen.append(navigation.landmarks.observed_landmark + num_landmarks)
         seen_from.append(navigation.landmarks.observed_keyframe + num_keyframes)
         seen_at.append(navigation.landmarks.observed_uv_px)
@@ -154,13 +159,44 @@ def build_copies(rooms: list[Room], count: int) -> tuple[PlaceMap, list[Keyframe
         landmarks=Landmarks(
             np.concatenate(points),
             np.zeros((num_landmarks, 3), np.uint8),
-            np.zeros((0, 3, 3)),  # not asked for by an answer
+            np.concatenate(covariances),
             np.concatenate(seen),
             np.concatenate(seen_from),
             np.concatenate(seen_at),
         ),
     )
-    return PlaceMap(f"{count} rooms", "", navigation, tuple(places), (), base.config), described
+    place_map = PlaceMap(f"{count} rooms", "", navigation, tuple(places), (), base.config)
+    return replace(place_map, plan=plan_of(place_map, count)), described
+
+
+def plan_of(place_map: PlaceMap, count: int) -> FloorPlan:
+    """A room around each copy, where all of its cameras stood."""
+    eyes = place_map.navigation.keyframes.T_world_cam[:, :2, 3]
+    low, high = eyes.min(axis=0) - SPACING_M, eyes.max(axis=0) + SPACING_M
+    room = np.full(np.ceil((high - low) / CELL_M).astype(int), NO_ROOM, dtype=np.int16)
+    middle = eyes[:KEYFRAMES_PER_ROOM].mean(axis=0)
+    rooms = []
+    for copy in range(count):
+        at = middle + offset_of(copy)[:2]
+        (x0, y0), (x1, y1) = (np.round((at + sign * ROOM_M / 2 - low) / CELL_M).astype(int) for sign in (-1, 1))
+        room[x0:x1, y0:y1] = copy
+        rooms.append(PlanRoom(room_id(copy), f"Room {copy + 1}", ROOM_M**2, at))
+    return FloorPlan(
+        R_ground_map=np.eye(3),
+        low=low,
+        cell=CELL_M,
+        unit=1.0,
+        state=np.where(room == NO_ROOM, UNSEEN, FREE).astype(np.uint8),
+        room=room,
+        rooms=tuple(rooms),
+        doors=(),
+        walls=np.zeros((0, 2, 2)),
+        room_of_place={place.id: room_id(int(place.id.partition("/")[0])) for place in place_map.places},
+    )
+
+
+def room_id(copy: int) -> str:
+    return f"room-{copy}"
 
 
 def _moved(place: Place, copy: int, offset: FloatArray, first_landmark: int, first_keyframe: int) -> Place:
@@ -185,7 +221,7 @@ def measure(rooms: list[Room], count: int, answers: int, calibration: Calibratio
     centroids = np.array([place.centroid_map for place in place_map.places])
     rng = np.random.default_rng(count)
     asked = Asked(localizer, estimator, calibration, FeatureExtractor())
-    wall, cpu, index_ms, states, recognised = [], [], [], [], []
+    wall, cpu, index_ms, states, named, recognised = [], [], [], [], [], []
     t_ns = START_NS
     for visit in range(max(1, answers // VISIT)):
         copy = int(rng.integers(count))
@@ -205,6 +241,8 @@ def measure(rooms: list[Room], count: int, answers: int, calibration: Calibratio
             distance = np.linalg.norm(centroids - (room.T_true[k, :3, 3] + offset_of(copy)), axis=1)
             right = {place_map.places[i].id for i in np.flatnonzero(distance <= 1.1 * distance.min())}
             states.append((answer.state, answer.place is not None and answer.place.id in right))
+            if answer.room is not None:
+                named.append(answer.room.id == room_id(copy))
             recognised.append(is_recognised)
     tracemalloc.start()
     for k in range(TRACED):
@@ -233,6 +271,8 @@ def measure(rooms: list[Room], count: int, answers: int, calibration: Calibratio
         "unknown": sum(state == "unknown" for state, _ in states),
         "known": len(known),
         "known_right": int(np.sum(known)),
+        "room_named": len(named),
+        "room_right": int(np.sum(named)),
     }
 
 
@@ -317,8 +357,14 @@ def figures(rows: list[dict[str, Any]]) -> list[Figure]:
         )
         for row in rows
     ]  # fmt: skip
-    right, known = (sum(row[key] for row in rows) for key in ("known_right", "known"))
-    return [*answers, share("known answers that are right, in maps of every size", right, known)]
+    right, known, room_right, named = (
+        sum(row[key] for row in rows) for key in ("known_right", "known", "room_right", "room_named")
+    )
+    return [
+        *answers,
+        share("known answers that are right, in maps of every size", right, known),
+        share("named rooms that are right, in maps of every size", room_right, named),
+    ]
 
 
 if __name__ == "__main__":
