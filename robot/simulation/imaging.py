@@ -44,6 +44,7 @@ class SimulatedCamera:
         shape = (calibration.height + NOISE_SHIFT_PX, calibration.width + NOISE_SHIFT_PX, 3)
         self._noise_bank = self._rng.standard_normal(shape, dtype=np.float32)
         self._light = [np.empty((calibration.height, calibration.width, 3), np.float32) for _ in range(2)]
+        self._field = [np.empty((calibration.height, calibration.width), np.float32) for _ in range(2)]
         columns, rows = (np.arange(n, dtype=np.float32) for n in (calibration.width, calibration.height))
         self._pixels = np.meshgrid(columns, rows)  # x and y of each
         self._vignette = _vignette(calibration, imperfections.vignetting)
@@ -130,33 +131,35 @@ class SimulatedCamera:
         """Exposure, lamps, vignetting and noise."""
         i = self._imperfections
         gain = np.float32(self._brightness * faults.light)
-        field = self._vignette * gain if i.vignetting > 0 else np.full(image.shape[:2], gain, np.float32)
+        field, lamps = self._field
+        if i.vignetting > 0:
+            np.multiply(self._vignette, gain, out=field)
+        else:
+            field.fill(gain)
         light = self._renderer.world.room_light
         if light:
-            rooms = np.array([light[s.room] for s in self._renderer.surfaces] + [1.0], np.float32)
-            surface = np.where(rendering.surface == NO_SURFACE, len(rooms) - 1, rendering.surface)
-            field = field * np.take(rooms, surface)
+            rooms = np.ones((1, NO_SURFACE + 1), np.float32)
+            rooms[0, : len(self._renderer.surfaces)] = [light[s.room] for s in self._renderer.surfaces]
+            cv2.multiply(field, cv2.LUT(rendering.surface, rooms, dst=lamps), dst=field)
         if i.noise <= 0 and i.vignetting <= 0 and not light and gain == 1.0:
             return image
         signal, scratch = self._light
-        cv2.multiply(image, cv2.merge([field] * 3, dst=scratch), dst=signal, dtype=cv2.CV_32F)
+        cv2.multiply(image, cv2.cvtColor(field, cv2.COLOR_GRAY2BGR, dst=scratch), dst=signal, dtype=cv2.CV_32F)
         if i.noise > 0:
-            self._add_noise(signal, scratch)
-        return np.asarray(cv2.convertScaleAbs(np.maximum(signal, np.float32(0.0), out=signal)), dtype=np.uint8)
+            self._noise(signal, scratch)
+        else:
+            scratch.fill(0.0)
+        return np.asarray(cv2.add(signal, scratch, dtype=cv2.CV_8U), dtype=np.uint8)
 
-    def _add_noise(self, signal: Float32Array, deviation: Float32Array) -> None:
-        """Read noise and shot noise: variance = read^2 + signal / full-well, times the gain. In place.
-
-        `deviation`: of signal's shape, overwritten.
-        """
+    def _noise(self, signal: Float32Array, noise: Float32Array) -> None:
+        """Read noise and shot noise into `noise`: variance = read^2 + signal / full-well, times the gain."""
         height, width = signal.shape[:2]
         y, x = (int(v) for v in self._rng.integers(0, NOISE_SHIFT_PX, 2))
-        noise = self._noise_bank[y : y + height, x : x + width]
+        bank = self._noise_bank[y : y + height, x : x + width]
         read = self._imperfections.noise * self._gain
         shot = 0.035 * self._imperfections.noise * self._gain
-        cv2.sqrt(cv2.addWeighted(signal, shot, signal, 0.0, read**2, dst=deviation), dst=deviation)
-        cv2.multiply(deviation, noise, dst=deviation)
-        cv2.add(signal, deviation, dst=signal)
+        cv2.sqrt(cv2.addWeighted(signal, shot, signal, 0.0, read**2, dst=noise), dst=noise)
+        cv2.multiply(noise, bank, dst=noise)
 
     def _adapt(self, image: ImageArray) -> None:
         """Auto-exposure: move towards the target mean, exposure time first, then gain."""

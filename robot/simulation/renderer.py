@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -26,6 +27,8 @@ ANISOTROPY = 0.75  # 0: a texel per lateral footprint (aliases far away), 1: per
 # Corners of a checkerboard then lie within 0.05 px of their place; at -0.35 aliasing moves them 0.2 px.
 LEVEL_BIAS = 0.25
 NO_SURFACE = 0xFFFF
+SURELY_M = 1e-9  # beyond a plane by more than any rounding
+SMALLER = 0.9  # of a region: worth to cut it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,14 +98,16 @@ class Renderer:
         self._rays = unproject_pixels(camera)
         self._column_x = np.stack([self._rays[:, 0].min(axis=0), self._rays[:, 0].max(axis=0)])  # (2, W)
         self._row_y = np.stack([self._rays[:, 1].min(axis=1), self._rays[:, 1].max(axis=1)])  # (2, H)
+        self._pyramid = _Pyramid(float(np.abs(self._column_x).max()) + 0.01, float(np.abs(self._row_y).max()) + 0.01)
         shape = (camera.height, camera.width)
         self._world_rays = np.empty_like(self._rays)
         self._inverse_depth = np.empty(shape, np.float32)
         self._u, self._v = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         self._surface = np.empty(shape, np.uint16)
         self._scratch = [np.empty(shape, np.float32) for _ in range(4)]
+        self._mask_scratch = [np.empty(shape, np.bool_) for _ in range(2)]
         self._id_scratch = np.empty(shape, np.uint16)
-        self._row_scratch = [np.empty(shape, np.intp) for _ in range(2)]
+        self._entry_scratch = [np.empty(shape, np.uint16) for _ in range(2)]
         self._surfaces = surfaces = world.surfaces_at(0.0)
         atlas = bake_atlas([s.texture for s in surfaces], cache_dir)
         self.world = world
@@ -115,7 +120,8 @@ class Renderer:
         offset_m = np.array([[s.u0_m, s.v0_m] for s in surfaces], dtype=np.float32)
         origin = atlas.origin_px[texture] + offset_m[:, None, :] * density[:, :, None]
         # Left, top and density of each surface's levels. The last ones stand for "nothing seen": a corner texel.
-        self._table = np.zeros((3, (len(surfaces) + 1) * NUM_LEVELS), np.float32)
+        assert len(surfaces) <= NO_SURFACE // NUM_LEVELS
+        self._table = np.zeros((3, 1 << 16), np.float32)
         self._table[0:2, : len(surfaces) * NUM_LEVELS] = origin.reshape(-1, 2).T
         self._table[2, : len(surfaces) * NUM_LEVELS] = density.reshape(-1)
         self._log2_density = np.log2(density[:, 0])
@@ -138,7 +144,7 @@ class Renderer:
         np.matmul(R_rows.astype(np.float32), self._rays, out=self._world_rays)
         self._inverse_depth.fill(0.0)
         self._surface.fill(NO_SURFACE)
-        level_constant = np.zeros(len(self._corners) + 1, np.float32)
+        level_constant = np.zeros(1 << 16, np.float32)
         camera_poses = np.asarray(T_world_cam_rows)
         for index, region, nearest in self._visible(camera_poses):
             self._draw(index, region, nearest, t_rows, level_constant)
@@ -156,7 +162,7 @@ class Renderer:
 
     def _visible(self, T_rows: FloatArray) -> list[tuple[int, tuple[slice, slice], float]]:
         """Surfaces that may be seen, near ones first: index, image region, greatest inverse depth."""
-        x_max, y_max = float(np.abs(self._column_x).max()) + 0.01, float(np.abs(self._row_y).max()) + 0.01
+        x_max, y_max = self._pyramid.x_max, self._pyramid.y_max
         ends = T_rows[[0, -1]] if len(T_rows) > 1 else T_rows
         p_cams = [(self._corners - T[:3, 3]) @ T[:3, :3] for T in ends]
         p = p_cams[0]
@@ -168,28 +174,17 @@ class Renderer:
         for axis, limit in ((0, x_max), (1, y_max)):
             outside |= (p[:, :, axis] > limit * z + margin).all(1) | (p[:, :, axis] < -limit * z - margin).all(1)
         candidates = np.nonzero(facing & ~outside)[0]
-        found = []
-        for index in candidates:
-            clipped = [_clipped_box(p_cam[index], x_max, y_max) for p_cam in p_cams]
-            boxes = [b for b in clipped if b is not None]
-            if not boxes:
-                continue
-            low, high = np.min([b[0] for b in boxes], axis=0), np.max([b[1] for b in boxes], axis=0)
-            region = self._region(low, high)
-            if region is not None:
-                found.append((int(index), region, float(high[2]) * 1.001 + 1e-3))
+        boxes = [self._pyramid.boxes(p_cam[candidates]) for p_cam in p_cams]
+        low, high = np.min([b[0] for b in boxes], axis=0), np.max([b[1] for b in boxes], axis=0)
+        rows = _spans(self._row_y, low[:, 1], high[:, 1], self.camera.height)
+        columns = _spans(self._column_x, low[:, 0], high[:, 0], self.camera.width)
+        found = [
+            (index, (slice(*row), slice(*column)), nearest * 1.001 + 1e-3)
+            for index, row, column, nearest in zip(candidates.tolist(), rows, columns, high[:, 2].tolist(), strict=True)
+            if row[0] < row[1] and column[0] < column[1]
+        ]
         found.sort(key=lambda f: -f[2])
         return found
-
-    def _region(self, low: FloatArray, high: FloatArray) -> tuple[slice, slice] | None:
-        """Image region that can show normalised coordinates of the box low..high."""
-        columns = np.nonzero((self._column_x[1] >= low[0]) & (self._column_x[0] <= high[0]))[0]
-        rows = np.nonzero((self._row_y[1] >= low[1]) & (self._row_y[0] <= high[1]))[0]
-        if len(columns) == 0 or len(rows) == 0:
-            return None
-        r0, r1 = max(int(rows[0]) - 2, 0), min(int(rows[-1]) + 3, self.camera.height)
-        c0, c1 = max(int(columns[0]) - 2, 0), min(int(columns[-1]) + 3, self.camera.width)
-        return slice(r0, r1), slice(c0, c1)
 
     def _draw(
         self,
@@ -206,33 +201,50 @@ class Renderer:
         surface = self._surfaces[index]
         rows, columns = region
         dx, dy, dz = (self._world_rays[rows, k, columns] for k in range(3))
-        w, u, v, spare = (s[region] for s in self._scratch)
+        shape = dx.shape
+        w, mask = _start_of(self._scratch[0], shape), _start_of(self._mask_scratch[0], shape)
         to_origin = np.array(surface.origin) - t_rows[rows]  # (h, 3)
         distance = to_origin @ self._normals[index]  # (h,) m, negative in front
         per_row = (1.0 / distance).astype(np.float32)[:, None]
-        eu, ev = surface.eu, surface.ev
         if self._is_level[index]:
             np.multiply(dz, per_row * np.float32(self._normals[index, 2]), out=w)
+        else:
+            cv2.addWeighted(dx, float(self._normals[index, 0]), dy, float(self._normals[index, 1]), 0.0, dst=w)
+            np.multiply(w, per_row, out=w)
+        np.greater(w, inverse_depth, out=mask)
+        # What lies behind something nearer is most of it: the rest of the work is for the box around what is left.
+        left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
+        if not width:
+            return
+        if width * height < SMALLER * mask.size:
+            inside = slice(top, top + height), slice(left, left + width)
+            rows = slice(rows.start + top, rows.start + top + height)
+            columns = slice(columns.start + left, columns.start + left + width)
+            region = rows, columns
+            inverse_depth, to_origin = self._inverse_depth[region], to_origin[inside[0]]
+            dx, dy, dz, w, mask = dx[inside], dy[inside], dz[inside], w[inside], mask[inside]
+            shape = dx.shape
+        u, v = (_start_of(s, shape) for s in self._scratch[1:3])
+        other = _start_of(self._mask_scratch[1], shape)
+        eu, ev = surface.eu, surface.ev
+        if self._is_level[index]:
             cv2.addWeighted(dx, ev[0], dy, ev[1], 0.0, dst=v)
         else:
-            cv2.addWeighted(dx, float(self._normals[index, 0]), dy, float(self._normals[index, 1]), 0.0, dst=spare)
-            np.multiply(spare, per_row, out=w)
             np.multiply(dz, np.float32(ev[2]), out=v)
         cv2.addWeighted(dx, eu[0], dy, eu[1], 0.0, dst=u)
-        cv2.divide(u, w, dst=u)
-        cv2.divide(v, w, dst=v)
-        np.subtract(u, (to_origin @ np.array(eu)).astype(np.float32)[:, None], out=u)
-        np.subtract(v, (to_origin @ np.array(ev)).astype(np.float32)[:, None], out=v)
-        mask = cv2.compare(w, inverse_depth, cv2.CMP_GT)
-        cv2.bitwise_and(mask, cv2.inRange(u, 0.0, surface.width_m), dst=mask)
-        cv2.bitwise_and(mask, cv2.inRange(v, 0.0, surface.height_m), dst=mask)
-        if cv2.hasNonZero(mask):
-            cv2.copyTo(w, mask, inverse_depth)
-            cv2.copyTo(u, mask, self._u[region])
-            cv2.copyTo(v, mask, self._v[region])
-            ids = self._id_scratch[region]
+        for along, axis, length_m in ((u, eu, surface.width_m), (v, ev, surface.height_m)):
+            cv2.divide(along, w, dst=along)
+            np.subtract(along, (to_origin @ np.array(axis)).astype(np.float32)[:, None], out=along)
+            mask &= np.greater_equal(along, np.float32(0.0), out=other)
+            mask &= np.less_equal(along, np.float32(length_m), out=other)
+        seen = mask.view(np.uint8)
+        if cv2.hasNonZero(seen):
+            cv2.copyTo(w, seen, inverse_depth)
+            cv2.copyTo(u, seen, self._u[region])
+            cv2.copyTo(v, seen, self._v[region])
+            ids = _start_of(self._id_scratch, shape)
             ids.fill(index)
-            cv2.copyTo(ids, mask, self._surface[region])
+            cv2.copyTo(ids, seen, self._surface[region])
             # Footprint of a pixel: 1/(w f) across, 1/(w^2 f d) in depth for a plane at distance d.
             d = max(1e-3, float(-distance.mean()))
             level_constant[index] = (
@@ -244,52 +256,100 @@ class Renderer:
     def _colour(self, level_constant: Float32Array) -> ImageArray:
         """Look up each pixel's texel at the level whose texels match the pixel's footprint."""
         level, scratch, map_x, map_y = self._scratch
-        row, chosen = self._row_scratch
-        np.minimum(self._surface, np.uint16(len(self._corners)), out=row)
         np.maximum(self._inverse_depth, np.float32(1e-3), out=scratch)
         cv2.log(scratch, dst=scratch)
-        np.take(level_constant, row, out=level, mode="clip")
+        cv2.LUT(self._surface, level_constant[None], dst=level)
         cv2.addWeighted(scratch, -(1.0 + ANISOTROPY) / np.log(2.0), level, 1.0, 0.0, dst=level)
         np.rint(level, out=level)
+        entry, chosen = self._entry_scratch
         np.copyto(chosen, np.clip(level, 0, NUM_LEVELS - 1, out=level), casting="unsafe")
-        row *= NUM_LEVELS
-        row += chosen
-        left, top, density = self._table
-        np.take(density, row, out=scratch, mode="clip")
-        np.take(left, row, out=map_x, mode="clip")
-        np.take(top, row, out=map_y, mode="clip")
+        np.multiply(self._surface, np.uint16(NUM_LEVELS), out=entry)  # NO_SURFACE overflows into the table's last ones
+        entry += chosen
+        left, top, density = self._table[:, None]
+        cv2.LUT(entry, density, dst=scratch)
+        cv2.LUT(entry, left, dst=map_x)
+        cv2.LUT(entry, top, dst=map_y)
         cv2.add(cv2.multiply(self._u, scratch, dst=level), map_x, dst=map_x)
         cv2.add(cv2.multiply(self._v, scratch, dst=level), map_y, dst=map_y)
         return np.asarray(cv2.remap(self._atlas_image, map_x, map_y, cv2.INTER_LINEAR), dtype=np.uint8)
 
 
-def _clipped_box(p_cam: FloatArray, x_max: float, y_max: float) -> tuple[FloatArray, FloatArray] | None:
-    """Bounds (x/z, y/z, 1/z) of a polygon (4, 3) inside the viewing pyramid, None when all of it is outside."""
-    z = p_cam[:, 2]
-    if z.min() > NEAR_M:
-        q = np.column_stack([p_cam[:, :2] / z[:, None], 1.0 / z])
-        low, high = q.min(axis=0), q.max(axis=0)
-        if low[0] >= -x_max and high[0] <= x_max and low[1] >= -y_max and high[1] <= y_max:
-            return low, high
-    polygon = list(p_cam)
-    for plane in ((0.0, 0.0, 1.0), (1.0, 0.0, x_max), (-1.0, 0.0, x_max), (0.0, 1.0, y_max), (0.0, -1.0, y_max)):
-        limit = NEAR_M if plane[0] == plane[1] == 0.0 else 0.0
-        polygon = _clip(polygon, np.array(plane), limit)
-        if not polygon:
-            return None
-    points = np.array(polygon)
-    q = np.column_stack([points[:, :2] / points[:, 2:], 1.0 / points[:, 2]])
-    return q.min(axis=0), q.max(axis=0)
+ArrayT = TypeVar("ArrayT", bound=np.generic)
 
 
-def _clip(polygon: list[FloatArray], plane: FloatArray, limit: float) -> list[FloatArray]:
+def _start_of(scratch: npt.NDArray[ArrayT], shape: tuple[int, ...]) -> npt.NDArray[ArrayT]:
+    """An array of that shape in the scratch's first bytes: close together, they stay in the processor's cache."""
+    return scratch.reshape(-1)[: shape[0] * shape[1]].reshape(shape)
+
+
+def _spans(bounds: Float32Array, low: FloatArray, high: FloatArray, size: int) -> list[tuple[int, int]]:
+    """First and last + 1 of the image's columns (or rows) that can show low..high (N,), and two more on each side.
+
+    `bounds`: (2, size) least and greatest normalised coordinate in each column. Empty: none can.
+    """
+    can = (bounds[1] >= low[:, None]) & (bounds[0] <= high[:, None])
+    first, last = can.argmax(axis=1), size - 1 - can[:, ::-1].argmax(axis=1)
+    return [
+        (max(f - 2, 0), min(e + 3, size)) if any_can else (0, 0)
+        for f, e, any_can in zip(first.tolist(), last.tolist(), can.any(axis=1).tolist(), strict=True)
+    ]
+
+
+Point = tuple[float, float, float]
+
+
+class _Pyramid:
+    """What a camera sees: x/z within x_max, y/z within y_max, z from NEAR_M on."""
+
+    def __init__(self, x_max: float, y_max: float) -> None:
+        self.x_max, self.y_max = x_max, y_max
+        self._planes = np.array(
+            [(0.0, 0.0, 1.0), (1.0, 0.0, x_max), (-1.0, 0.0, x_max), (0.0, 1.0, y_max), (0.0, -1.0, y_max)]
+        )
+
+    def boxes(self, p_cam: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Bounds (N, 3) of x/z, y/z, 1/z of polygons (N, 4, 3) inside the pyramid; infinite where all is outside."""
+        z = p_cam[:, :, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            q = np.concatenate([p_cam[:, :, :2] / z[..., None], 1.0 / z[..., None]], axis=-1)
+        low, high = q.min(axis=1), q.max(axis=1)
+        limit = np.array([self.x_max, self.y_max])
+        whole = (z.min(axis=1) > NEAR_M) & (low[:, :2] >= -limit).all(1) & (high[:, :2] <= limit).all(1)
+        values = _dots(p_cam[:, None], self._planes[None, :, None])  # (N, 5, 4)
+        values[:, 0] -= NEAR_M
+        least, greatest = values.min(axis=2), values.max(axis=2)
+        for k in np.nonzero(~whole)[0].tolist():
+            polygon: list[Point] = []
+            if (greatest[k] > -SURELY_M).all():
+                polygon = [(x, y, z) for x, y, z in p_cam[k].tolist()]
+            # What is cut off by one plane leaves nothing beyond another that was not there before.
+            for plane in np.nonzero(least[k] < SURELY_M)[0].tolist() if polygon else ():
+                polygon = _clip(polygon, self._planes[plane], NEAR_M if plane == 0 else 0.0)
+                if not polygon:
+                    break
+            if polygon:
+                points = [(x / z, y / z, 1.0 / z) for x, y, z in polygon]
+                low[k], high[k] = tuple(map(min, *points)), tuple(map(max, *points))
+            else:
+                low[k], high[k] = np.inf, -np.inf
+        return low, high
+
+
+def _dots(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Scalar products (...) of vectors (..., 3), to the last bit those of single pairs."""
+    return np.matmul(a[..., None, :], b[..., None])[..., 0, 0]
+
+
+def _clip(polygon: list[Point], plane: FloatArray, limit: float) -> list[Point]:
     """The part of a polygon where plane . p >= limit. Source: Sutherland and Hodgman, CACM 17(1), 1974."""
-    kept = []
-    values = [float(plane @ p) - limit for p in polygon]
+    kept: list[Point] = []
+    values = (_dots(np.array(polygon), plane) - limit).tolist()
     for i, (p, value) in enumerate(zip(polygon, values, strict=True)):
         before, value_before = polygon[i - 1], values[i - 1]
         if (value >= 0) != (value_before >= 0):
-            kept.append(before + (p - before) * (value_before / (value_before - value)))
+            share = value_before / (value_before - value)
+            (x, y, z), (x0, y0, z0) = p, before
+            kept.append((x0 + (x - x0) * share, y0 + (y - y0) * share, z0 + (z - z0) * share))
         if value >= 0:
             kept.append(p)
     return kept

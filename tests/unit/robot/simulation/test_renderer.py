@@ -7,7 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
+import robot.simulation.renderer as renderer_module
 from robot.simulation.atlas import bake_atlas
+from robot.simulation.config import SimulationConfig
 from robot.simulation.renderer import NO_SURFACE, Renderer, undistort
 from robot.simulation.textures import Glow, TextureSpec
 from robot.simulation.worlds import make_world
@@ -32,6 +34,9 @@ EUROC = CameraCalibration(
     cx=367.215,
     cy=248.375,
     distortion=(-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05),
+)
+SMALL_CAMERA = CameraCalibration(
+    width=210, height=160, fx=150.0, fy=150.0, cx=105.0, cy=80.0, distortion=(-0.28, 0.07, 0.0002, 0.00002)
 )
 CAMERAS = {"reference": REFERENCE_CAMERA, "euroc": EUROC, "fisheye": FISHEYE}
 
@@ -135,6 +140,42 @@ def test_rolling_shutter_rows_equal_the_rows_of_still_pictures() -> None:
     near = rolling[int(middle_row)].astype(int) - middle[int(middle_row)]
     assert np.mean(np.abs(near) <= 12) > 0.97  # the middle pose lies half a row further
     assert np.abs(rolling[0].astype(int) - last[0]).max() > 50
+
+
+class Uncut(Renderer):
+    """Asks every pixel about every surface, in the same order."""
+
+    def _visible(self, T_rows: FloatArray) -> list[tuple[int, tuple[slice, slice], float]]:
+        seen = [index for index, _, _ in super()._visible(T_rows)]
+        everything = slice(0, self.camera.height), slice(0, self.camera.width)
+        behind = [k for k in range(len(self.surfaces)) if k not in seen and self._faces(k, T_rows)]
+        return [(index, everything, np.inf) for index in [*seen, *behind]]
+
+    def _faces(self, index: int, T_rows: FloatArray) -> bool:
+        return bool(self._normals[index] @ (T_rows[len(T_rows) // 2, :3, 3] - self._corners[index, 0]) > 1e-4)
+
+
+@pytest.mark.parametrize(("name", "seed"), [("small", 2), ("plain", 3), ("checker", 0)])
+def test_what_is_left_out_as_unseen_changes_no_bit(
+    name: str, seed: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    world = make_world(name, seed, SimulationConfig(walkers=1))
+    quick, plain = Renderer(world, SMALL_CAMERA, tmp_path), Uncut(world, SMALL_CAMERA, tmp_path)
+    rng = np.random.default_rng(seed)
+    for number in range(12):
+        room = world.rooms[number % len(world.rooms)]
+        T = look_at_pose((*room.centre, float(rng.uniform(0.1, 0.6))), *rng.uniform([0, -0.6], [6.3, 0.6]))
+        moved = T.copy()
+        moved[:3, 3] += rng.normal(0, 0.005, 3)
+        poses = np.stack([T, 0.5 * (T + moved), moved]) if number % 2 else T[None]
+        drawn = quick.render(poses, float(number))
+        with monkeypatch.context() as patched:
+            patched.setattr(renderer_module, "SMALLER", 0.0)
+            expected = plain.render(poses, float(number))
+        assert (drawn.surface == expected.surface).all()
+        assert (drawn.inverse_depth == expected.inverse_depth).all()
+        # How fine a texture is looked up hangs on the mean distance of the rows asked.
+        assert np.mean(drawn.image == expected.image) > 0.98
 
 
 def test_same_seed_same_picture_other_seed_another() -> None:
