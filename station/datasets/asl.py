@@ -18,7 +18,7 @@ import numpy as np
 from shared.bounded import MAX_PICTURE_BYTES, read_file
 from shared.calibration import Calibration, HeadCalibration
 from shared.errors import ConfigError, DataError
-from shared.geometry import FloatArray, IntArray, inverse, pose
+from shared.geometry import FloatArray, IntArray, inverse, poses
 from shared.recorded_files import asl_numbers, asl_rows, exposures_ns
 from shared.sensor_yaml import number, read_camera, read_exposure_ns, read_imu_noise, read_mounting, read_rig, read_yaml
 from shared.text import explain
@@ -150,7 +150,7 @@ def _read_truth(path: Path, T_file_ours: FloatArray) -> Truth | None:
     if not len(t):
         return None
     try:
-        T = np.stack([pose(row[:3], row[3:7]) for row in table]) @ T_file_ours
+        T = poses(table[:, :3], table[:, 3:7]) @ T_file_ours
     except ValueError as exc:
         raise DataError(f"{path}: {exc}; correct it") from exc
     try:

@@ -82,8 +82,11 @@ class BoardCamera:
             light = np.asarray(cv2.GaussianBlur(light, (0, 0), self._optics.lens_blur_px))
         noise = self._optics.noise * self._rng.standard_normal(light.shape, dtype=np.float32)
         signal = light * self._field
-        noise *= np.sqrt(0.5 + signal / 200.0)  # shot noise grows with the light, read noise does not
-        image = np.clip(np.rint(signal + noise), 0, 255).astype(np.uint8)
+        deviation = signal / np.float32(200.0)
+        deviation += np.float32(0.5)
+        noise *= np.sqrt(deviation, out=deviation)  # shot noise grows with the light, read noise does not
+        signal += noise
+        image = np.clip(np.rint(signal, out=signal), 0, 255, out=signal).astype(np.uint8)
         ok, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 92])
         assert ok
         return encoded.tobytes()
@@ -117,11 +120,15 @@ def where_rays_meet(
     dx, dy, dz = directions[:, 0], directions[:, 1], directions[:, 2]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         depth = -origin[:, 2] / dz
-        x = origin[:, 0] + depth * dx
+        x = depth * dx
+        x += origin[:, 0]
         if board.bend_m:
             for _ in range(BEND_ROUNDS):
-                depth = (_height(board, x) - origin[:, 2]) / dz
-                x = origin[:, 0] + depth * dx
+                depth = _height(board, x)
+                depth -= origin[:, 2]
+                depth /= dz
+                np.multiply(depth, dx, out=x)
+                x += origin[:, 0]
         y = np.multiply(depth, dy, out=dy)
         y += origin[:, 1]
         return x, y, depth
