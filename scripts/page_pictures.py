@@ -32,7 +32,8 @@ ARGUMENTS = [
 ]
 # What opens a dialog, by its name in the file.
 DIALOGS = {
-    "place": ".place-label",
+    "room": ".plan-room",
+    "place": ".place-label, .plan-place",
     "navigation": "#navigations button[aria-label^='More about']",
     "map": "#maps button[aria-label^='More about']",
     "hijack-dialog": "#hijack",

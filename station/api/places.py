@@ -6,9 +6,11 @@ import asyncio
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Response
+from pydantic import TypeAdapter
 
 from shared.bounded import shown
 from station.api.deps import RobotDep, StationDep
+from station.api.prepared import Prepared
 from station.api.problems import responses
 from station.api.schema.jobs import JobModel
 from station.api.schema.places import (
@@ -29,6 +31,7 @@ from station.api.schema.places import (
 )
 from station.api.streams import image_response
 from station.errors import Conflict, Unknown
+from station.library.active_maps import ActiveMap
 from station.library.place_changes import PlacesChange
 from station.library.place_images import deviation_image, keyframe_image, mean_image
 from station.places.making.changes import without_hidden
@@ -36,6 +39,7 @@ from station.places.making.graph import places_called, shortest_route, to_graphm
 
 router = APIRouter(tags=["places"])
 of_robot = APIRouter(tags=["places"])
+PLACES = TypeAdapter(list[PlaceModel])
 IMAGE = {"content": {"image/jpeg": {}}, "description": "JPEG"}
 
 
@@ -62,10 +66,31 @@ async def query_image(t_robot_ns: int, robot: RobotDep) -> Response:
     return image_response(image)
 
 
-@router.get("/places", summary="Places of the active map, hidden ones too", responses=responses(409))
-async def places(station: StationDep) -> list[PlaceModel]:
-    active = station.maps.active.require_first()
-    return [place_model(active, place) for place in active.place_map.places]
+def _places_json(active: ActiveMap) -> bytes:
+    return PLACES.dump_json([place_model(active, place) for place in active.place_map.places])
+
+
+def _graph_json(active: ActiveMap) -> bytes:
+    graph = GraphModel(
+        map=active.place_map.id,
+        metric=active.place_map.navigation.is_metric,
+        nodes=[place_model(active, place) for place in active.visible_places],
+        edges=[EdgeModel.of(edge) for edge in active.place_map.edges],
+    )
+    return graph.model_dump_json().encode()
+
+
+_PLACES, _GRAPH = Prepared(_places_json), Prepared(_graph_json)
+
+
+@router.get(
+    "/places",
+    summary="Places of the active map, hidden ones too",
+    response_model=list[PlaceModel],
+    responses=responses(409),
+)
+async def places(station: StationDep) -> Response:
+    return await _PLACES.response(station.maps.active.require_first())
 
 
 @router.get("/places/changes", summary="What people made of places and rooms, newest first", responses=responses(409))
@@ -141,18 +166,11 @@ async def image(place_id: str, kind: Literal["representative", "mean", "deviatio
     response_model=GraphModel,
     responses={200: {"content": {"application/graphml+xml": {}}}, **responses(409)},
 )
-async def graph(
-    station: StationDep, format: Annotated[Literal["json", "graphml"], Query()] = "json"
-) -> GraphModel | Response:
+async def graph(station: StationDep, format: Annotated[Literal["json", "graphml"], Query()] = "json") -> Response:
     active = station.maps.active.require_first()
     if format == "graphml":
         return Response(to_graphml(without_hidden(active.place_map)), media_type="application/graphml+xml")
-    return GraphModel(
-        map=active.place_map.id,
-        metric=active.place_map.navigation.is_metric,
-        nodes=[place_model(active, place) for place in active.visible_places],
-        edges=[EdgeModel.of(edge) for edge in active.place_map.edges],
-    )
+    return await _GRAPH.response(active)
 
 
 Called = Annotated[str, Query(min_length=1, max_length=80, description="id or name of a place", examples=["Kitchen"])]

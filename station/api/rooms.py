@@ -5,17 +5,16 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from typing import Annotated, Literal
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from fastapi import APIRouter, Query, Response
 
 from station.api.deps import StationDep
+from station.api.prepared import Prepared
 from station.api.problems import responses
 from station.api.schema.base import NewName
 from station.api.schema.rooms import FloorPlanModel, RoomMerge, RoomModel, RoomSplit, floor_plan_model, room_model
 from station.app import Station
-from station.library.active_maps import ActiveMap
 from station.model.floor_plan import FloorPlan
 from station.model.place_map import PlaceMap
 from station.places.making.changes import without_hidden
@@ -29,7 +28,7 @@ DRAWN: dict[str, tuple[Callable[[FloorPlan, PlaceMap], bytes], str]] = {
     "svg": (floorplan_svg, "image/svg+xml"),
     "png": (floorplan_png, "image/png"),
 }
-_PLANS: WeakKeyDictionary[ActiveMap, bytes] = WeakKeyDictionary()  # as JSON
+_PLAN = Prepared(lambda active: floor_plan_model(active).model_dump_json().encode())
 
 
 @router.get("/rooms", summary="Rooms of the active map", responses=responses(409))
@@ -90,16 +89,9 @@ async def floorplan(
     active = station.maps.active.require_first()
     plan = active.require_plan()
     if format == "json":
-        return Response(await asyncio.to_thread(_plan_json, active), media_type="application/json")
+        return await _PLAN.response(active)
     make, media_type = DRAWN[format]
     return Response(await asyncio.to_thread(make, plan, without_hidden(active.place_map)), media_type=media_type)
-
-
-def _plan_json(active: ActiveMap) -> bytes:
-    """Made once for each map in use, which changes make another one: of a thousand rooms it has a megabyte."""
-    if (made := _PLANS.get(active)) is None:
-        made = _PLANS[active] = floor_plan_model(active).model_dump_json().encode()
-    return made
 
 
 def _rooms(station: Station) -> list[RoomModel]:

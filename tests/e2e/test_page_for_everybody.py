@@ -91,6 +91,7 @@ async def open_dialog(page: Page, name: str, place_id: str) -> None:
     """One of DIALOGS."""
     match name:
         case "place" | "rename":
+            await page.locator("[data-layer=map]").click()
             await page.locator(f"[data-place='{place_id}']").dispatch_event("click")
             await expect(page.locator("#place-dialog")).to_be_visible()
             if name == "rename":

@@ -21,11 +21,14 @@ async def test_a_room_is_named_by_clicking_into_it_and_by_a_suggestion(room: Roo
     await page.locator("#room-name").fill("Lounge")
     await page.keyboard.press("Enter")
     await expect(page.locator(".plan-names text[data-room=room-l]")).to_have_text("Lounge")
+    await expect(page.locator(".plan-room[data-room=room-l]")).to_be_focused()  # in the new drawing, too
     await page.locator(".plan-room[data-room=room-k]").press("Enter")
     await expect(page.locator("#room-dialog .suggestions .source")).to_have_text("sticker · 98 %")
     await page.locator("#room-dialog").get_by_role("button", name="Use it").click()
     await expect(page.locator(".plan-names text[data-room=room-k]")).to_have_text("Kitchen")
     await page.locator("#toast").get_by_role("button", name="Undo").click()
     await expect(page.locator(".plan-names text[data-room=room-k]")).to_have_text("Room 2")
+    assert await page.locator(".place-label").count() == 0  # nobody would see those of the 3D view
     await page.locator("[data-layer=map]").click()
     await expect(page.locator("#plan")).to_be_hidden()
+    await expect(page.locator(".place-label")).to_have_count(len(planned.places))

@@ -11,7 +11,7 @@ from shared.geometry import FloatArray
 from station.api.schema.base import Model, Number, Question
 from station.api.schema.places import PlaceName, RoomName
 from station.library.active_maps import ActiveMap
-from station.model.floor_plan import Door, NameSuggestion, Room, SuggestionSource
+from station.model.floor_plan import NameSuggestion, Room, SuggestionSource
 from station.model.points import NO_PLACE
 from station.places.rooms.drawing import room_outlines
 from station.places.rooms.lines import driven_path
@@ -123,49 +123,49 @@ def room_model(active: ActiveMap, room: Room) -> RoomModel:
 
 def floor_plan_model(active: ActiveMap) -> FloorPlanModel:
     plan, place_map = active.require_plan(), active.place_map
-    R = plan.R_ground_map
+    R, places = plan.R_ground_map, active.visible_places
     outlines = room_outlines(plan)
-    drawn = [np.array(line) for outline in outlines for line in outline]
-    corners = np.concatenate([plan.walls.reshape(-1, 2), *drawn, np.zeros((0, 2))])
+    corners = np.concatenate([plan.walls.reshape(-1, 2), *(line for outline in outlines for line in outline)])
     low, high = (corners.min(axis=0), corners.max(axis=0)) if len(corners) else (plan.low, plan.low)
+    middles = _rounded(np.array([room.middle for room in plan.rooms]))
+    ends = _rounded(np.array([door.ends for door in plan.doors]))
+    centroids = _rounded((np.array([place.centroid_map for place in places]).reshape(-1, 3) @ R.T)[:, :2])
     return FloorPlanModel(
         map=place_map.id,
         metric=place_map.navigation.is_metric,
         unit=plan.unit,
         R_ground_map=R.tolist(),
-        low=low.tolist(),
-        high=high.tolist(),
+        low=_rounded(low),
+        high=_rounded(high),
         rooms=[
             PlanRoom.of(
                 room,
                 named=room.id in place_map.plan_edits.names,
-                middle=_rounded(room.middle),
-                outline=[_all_rounded(line) for line in outline],
+                middle=middle,
+                outline=[_rounded(line) for line in outline],
             )
-            for room, outline in zip(plan.rooms, outlines, strict=True)
+            for room, middle, outline in zip(plan.rooms, middles, outlines, strict=True)
         ],
-        doors=[_door_model(door) for door in plan.doors],
-        walls=_all_rounded(plan.walls),
+        doors=[
+            DoorModel(id=door.id, rooms=list(door.rooms), ends=at, width=door.width, drawn=door.is_drawn)
+            for door, at in zip(plan.doors, ends, strict=True)
+        ],
+        walls=_rounded(plan.walls),
         places=[
             PlanPlace(
                 id=place.id,
                 name=place.name,
-                at=_rounded((R @ place.centroid_map)[:2]),
+                at=at,
                 room=plan.room_of_place.get(place.id),
                 colour=active.numbers.get(place.id, NO_PLACE),
                 representative_image=(
                     f"/places/{place.id}/images/representative" if place.representative_keyframe >= 0 else None
                 ),
             )
-            for place in active.visible_places
+            for place, at in zip(places, centroids, strict=True)
         ],
-        path=_all_rounded(driven_path(place_map.navigation, R)),
+        path=_rounded(driven_path(place_map.navigation, R)),
     )
-
-
-def _door_model(door: Door) -> DoorModel:
-    ends = [_rounded(p) for p in door.ends]
-    return DoorModel(id=door.id, rooms=list(door.rooms), ends=ends, width=door.width, drawn=door.is_drawn)
 
 
 def _suggestion_model(active: ActiveMap, suggestion: NameSuggestion) -> NameSuggestionModel:
@@ -177,12 +177,7 @@ def _suggestion_model(active: ActiveMap, suggestion: NameSuggestion) -> NameSugg
     )
 
 
-def _all_rounded(points: FloatArray) -> list[Any]:
-    """Points (..., 2) likewise, at once."""
+def _rounded(points: FloatArray) -> list[Any]:
+    """Points (..., 2) to the millimetre: a plan of a thousand rooms travels to a phone."""
     rounded: list[Any] = np.round(points, 3).tolist()
     return rounded
-
-
-def _rounded(p: FloatArray) -> Point:
-    """To the millimetre: a plan of a thousand rooms travels to a phone."""
-    return [round(float(x), 3) for x in p]

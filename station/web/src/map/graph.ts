@@ -1,6 +1,6 @@
 // The place graph in the 3D view: lines with bearings, names of places.
 import * as THREE from "three";
-import type { GraphModel, PlaceModel } from "../link/messages";
+import type { EdgeModel, GraphModel, PlaceModel } from "../link/messages";
 import { colourOf } from "../places/colours";
 import { make } from "../ui/dom";
 import { dispose } from "./cloud";
@@ -20,23 +20,22 @@ export class Graph3d {
       dispose(this.lines);
     }
     this.lines = null;
-    this.labels.clear();
+    const edges = graph ? edgesOf(graph) : [];
+    this.labels.replace(() => graph && this.write(graph, edges, onPlace));
     if (!graph) return;
-    const at = new Map(graph.nodes.map((node) => [node.id, centroid(node)]));
-    const ends: THREE.Vector3[] = [];
-    for (const edge of graph.edges) {
-      const [a, b] = [at.get(edge.a), at.get(edge.b)];
-      if (!a || !b) continue; // the station sends no such edge
-      ends.push(a, b);
-      const degrees = Math.round((edge.bearing_rad * 180) / Math.PI);
-      const text = graph.metric ? `${degrees}° · ${edge.distance.toFixed(1)} m` : `${degrees}°`;
-      this.labels.add(make("span", { class: "bearing" }, text), a.clone().lerp(b, 0.5), -edge.distance);
-    }
     this.lines = new THREE.LineSegments(
-      new THREE.BufferGeometry().setFromPoints(ends),
+      new THREE.BufferGeometry().setFromPoints(edges.flatMap(({ ends }) => ends)),
       new THREE.LineBasicMaterial({ color: 0x94a3b8, transparent: true, opacity: 0.75 }),
     );
     group.add(this.lines);
+  }
+
+  private write(graph: GraphModel, edges: Edge3d[], onPlace: (place: PlaceModel) => void): void {
+    for (const { edge, ends } of edges) {
+      const degrees = Math.round((edge.bearing_rad * 180) / Math.PI);
+      const text = graph.metric ? `${degrees}° · ${edge.distance.toFixed(1)} m` : `${degrees}°`;
+      this.labels.add(make("span", { class: "bearing" }, text), ends[0].clone().lerp(ends[1], 0.5), -edge.distance);
+    }
     for (const node of graph.nodes) {
       const button = make(
         "button",
@@ -49,6 +48,19 @@ export class Graph3d {
       this.labels.add(button, centroid(node), node.landmarks + (node.named ? NAMED : 0));
     }
   }
+}
+
+interface Edge3d {
+  edge: EdgeModel;
+  ends: [THREE.Vector3, THREE.Vector3];
+}
+
+function edgesOf(graph: GraphModel): Edge3d[] {
+  const at = new Map(graph.nodes.map((node) => [node.id, centroid(node)]));
+  return graph.edges.flatMap((edge) => {
+    const [a, b] = [at.get(edge.a), at.get(edge.b)];
+    return a && b ? [{ edge, ends: [a, b] }] : []; // the station sends no edge of other places
+  });
 }
 
 /** The middle of a place. */

@@ -13,23 +13,31 @@ interface Label {
 
 export class Labels {
   private labels: Label[] = [];
+  private write: (() => void) | null = null;
+  private here: string | null = null;
 
   constructor(private readonly host: HTMLElement) {}
 
-  clear(): void {
+  /** Others instead: `write` adds them once they are to be seen, which under the floor plan they are not. */
+  replace(write: () => void): void {
     this.labels = [];
     this.host.replaceChildren();
+    this.write = write;
   }
 
   /** A label at a point of the scene; the heavier ones are read first. */
   add(node: HTMLElement, at: THREE.Vector3, weight: number): void {
-    this.host.append(node);
     this.labels.push({ node, at, weight, size: null });
-    this.labels.sort((a, b) => b.weight - a.weight);
   }
 
   /** The place where the robot is comes before all others. */
   setHere(placeId: string | null): void {
+    this.here = placeId;
+    this.markHere();
+  }
+
+  private markHere(): void {
+    const placeId = this.here;
     for (const label of this.labels) {
       const here = placeId !== null && label.node.dataset.place === placeId;
       if (here !== isHere(label)) label.size = null; // it is written larger
@@ -42,6 +50,7 @@ export class Labels {
     this.host.hidden = !visible;
     const { clientWidth: width, clientHeight: height } = scene;
     if (!visible || !width) return;
+    this.begin();
     this.measure();
     const taken: [number, number, number, number][] = [];
     const isFree = (x: number, y: number, w: number, h: number) =>
@@ -76,6 +85,15 @@ export class Labels {
       else if (isPlace) take(one.x, one.y, DOT_PX, DOT_PX);
       node.style.transform = `translate(-50%,-50%) translate(${fits ? x : one.x}px,${y}px)`;
     }
+  }
+
+  private begin(): void {
+    if (!this.write) return;
+    this.write();
+    this.write = null;
+    this.host.append(...this.labels.map(({ node }) => node));
+    this.labels.sort((a, b) => b.weight - a.weight);
+    this.markHere();
   }
 
   /** All unmeasured ones at once, so that the browser lays the page out once. */

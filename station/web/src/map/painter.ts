@@ -70,6 +70,7 @@ export class Painter {
 
   private render(): void {
     this.isPending = false;
+    if (this.isResting) return;
     const { group, points, camera, isTurning } = this.subject();
     const share = isTurning ? this.pace.share(points) : 1;
     const pixels = this.pixelRatio * (isTurning ? this.pace.pixels(points) : 1);

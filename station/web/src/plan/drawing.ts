@@ -2,45 +2,47 @@
 import type { DoorModel, FloorPlanModel, PlanPlace, PlanRoom } from "../link/messages";
 import { colourOf } from "../places/colours";
 import type { Fit } from "./fit";
-import { closedPath, draw, type Point } from "./svg";
-
-export interface DrawingEvents {
-  onRoom: (room: PlanRoom) => void;
-  onDoor: (door: DoorModel) => void;
-  onPlace: (place: PlanPlace) => void;
-  /** The pointer is over a place, or its keyboard focus is; null: over none any more. */
-  onHover: (place: PlanPlace | null, at: Point) => void;
-}
+import { closedPath, draw } from "./svg";
 
 const NAME_PX = 8.2; // width of a letter of a room's name
 const LEAST_LETTERS = 5; // of fewer nobody knows what they begin
 const DOT_PX = 6; // radius
+const LEAST_DOOR_PX = 6; // a narrower one is drawn, but nobody would hit it: its rooms' dialogs make them one
+const WALL_PX = { widest: 5, narrowest: 1.2, metres: 0.2 }; // on a large plan walls leave space for rooms
 const SCALE_BARS_M = [0.5, 1, 2, 5, 10, 20];
 
-/** Everything of the plan that does not move. */
-export function drawPlan(plan: FloorPlanModel, fit: Fit, height: number, events: DrawingEvents): SVGGElement {
-  return draw(
+/** Everything of the plan that does not move. What can be pressed says by its data which room, door or dot it is. */
+export function drawPlan(plan: FloorPlanModel, fit: Fit, height: number): SVGGElement {
+  const [leading, leaving] = [plan.doors.filter((door) => !leaves(door)), plan.doors.filter(leaves)];
+  const isPressable = (door: DoorModel) => fit.length(door.width) >= LEAST_DOOR_PX;
+  const drawing = draw(
     "g",
     {},
-    draw("g", { class: "plan-rooms" }, ...plan.rooms.map((room, i) => drawRoom(room, i, fit, events))),
+    draw("g", { class: "plan-rooms" }, ...plan.rooms.map((room, i) => drawRoom(room, i, fit))),
     draw("path", { class: "plan-path", d: openPath(plan.path, fit) }),
     draw("path", { class: "plan-walls", d: plan.walls.map((wall) => openPath(wall, fit)).join("") }),
-    draw("g", { class: "plan-doors" }, ...plan.doors.map((door) => drawDoor(door, plan, fit, events))),
-    draw("g", { class: "plan-places" }, ...shown(plan, fit).map((place) => drawPlace(place, fit, events))),
+    draw("path", { class: "plan-gaps", d: gaps(plan.doors, fit) }),
+    draw("path", { class: "plan-sills", d: gaps(leading, fit) }),
+    draw("path", { class: "plan-sills leaving", d: gaps(leaving, fit) }),
+    draw("g", {}, ...plan.doors.filter(isPressable).map((door) => drawDoor(door, plan, fit))),
+    draw("g", { class: "plan-places" }, ...shown(plan, fit).map((place) => drawPlace(place, fit))),
     draw("g", { class: "plan-names" }, ...plan.rooms.flatMap((room) => drawName(room, fit))),
     ...(plan.metric ? [drawScale(fit, height)] : []),
   );
+  const wall = Math.max(WALL_PX.narrowest, Math.min(WALL_PX.widest, fit.length(WALL_PX.metres * plan.unit)));
+  drawing.style.setProperty("--wall", String(wall));
+  return drawing;
 }
 
-function drawRoom(room: PlanRoom, number: number, fit: Fit, { onRoom }: DrawingEvents): SVGElement {
+function drawRoom(room: PlanRoom, number: number, fit: Fit): SVGElement {
   const path = draw("path", {
     class: "plan-room",
     d: room.outline.map((ring) => closedPath(ring.map((at) => fit.toScreen(at)))).join(""),
-    "fill-rule": "evenodd",
     "data-room": room.id,
+    ...pressable(room.named ? room.name : `${room.name}: click to name it`),
   });
   path.style.setProperty("--own", colourOf(5 * number)); // five steps on the wheel: neighbours in the list differ
-  return pressable(path, room.named ? room.name : `${room.name}: click to name it`, () => onRoom(room));
+  return path;
 }
 
 function drawName(room: PlanRoom, fit: Fit): SVGElement[] {
@@ -55,26 +57,40 @@ function drawName(room: PlanRoom, fit: Fit): SVGElement[] {
   return [text];
 }
 
-function drawDoor(door: DoorModel, plan: FloorPlanModel, fit: Fit, { onDoor }: DrawingEvents): SVGElement {
+/** Where a door can be pressed: wider than it is drawn, which the paths of all doors do. */
+function drawDoor(door: DoorModel, plan: FloorPlanModel, fit: Fit): SVGElement {
   const names = door.rooms.map((id) => plan.rooms.find((room) => room.id === id)?.name ?? "what was not mapped");
-  const group = draw(
-    "g",
-    { class: `plan-door${door.drawn ? " drawn" : ""}${door.rooms.includes(null) ? " leaves" : ""}` },
-    line(door.ends, fit, { class: "gap" }),
-    line(door.ends, fit, { class: "sill" }),
-    line(door.ends, fit, { class: "reach" }),
-  );
   const width = plan.metric ? `, ${door.width.toFixed(1)} m wide` : "";
-  return pressable(group, `Door between ${names.join(" and ")}${width}`, () => onDoor(door));
+  const label = `Door between ${names.join(" and ")}${width}`;
+  const d = openPath(door.ends, fit);
+  return draw(
+    "g",
+    { class: `plan-door${leaves(door) ? " leaving" : ""}`, "data-door": door.id, ...pressable(label) },
+    draw("path", { class: "sill", d }),
+    draw("path", { class: "reach", d }),
+  );
 }
 
-function drawPlace(place: PlanPlace, fit: Fit, { onPlace, onHover }: DrawingEvents): SVGElement {
-  const [x, y] = fit.toScreen(place.at);
-  const dot = draw("circle", { class: "plan-place", cx: x, cy: y, r: DOT_PX, "data-dot": place.id });
+function leaves(door: DoorModel): boolean {
+  return door.rooms.includes(null);
+}
+
+function gaps(doors: DoorModel[], fit: Fit): string {
+  return doors.map((door) => openPath(door.ends, fit)).join("");
+}
+
+function drawPlace(place: PlanPlace, fit: Fit): SVGElement {
+  const [cx, cy] = fit.toScreen(place.at);
+  const dot = draw("circle", {
+    class: "plan-place",
+    cx,
+    cy,
+    r: DOT_PX,
+    "data-dot": place.id,
+    ...pressable(place.name),
+  });
   dot.style.setProperty("--own", colourOf(place.colour));
-  for (const type of ["pointerenter", "focus"]) dot.addEventListener(type, () => onHover(place, [x, y]));
-  for (const type of ["pointerleave", "blur"]) dot.addEventListener(type, () => onHover(null, [x, y]));
-  return pressable(dot, place.name, () => onPlace(place));
+  return dot;
 }
 
 /** None where a metre is smaller than a dot: they would cover their rooms. */
@@ -93,24 +109,9 @@ function drawScale(fit: Fit, height: number): SVGElement {
   );
 }
 
-/** By mouse, touch and keyboard. */
-function pressable<T extends SVGElement>(node: T, label: string, press: () => void): T {
-  node.setAttribute("role", "button");
-  node.setAttribute("tabindex", "0");
-  node.setAttribute("aria-label", label);
-  node.append(draw("title", {}, label));
-  node.addEventListener("click", press);
-  node.addEventListener("keydown", (event) => {
-    if (event.key !== "Enter" && event.key !== " ") return;
-    event.preventDefault();
-    press();
-  });
-  return node;
-}
-
-function line(ends: number[][], fit: Fit, attributes: Record<string, string>): SVGLineElement {
-  const [[x1, y1], [x2, y2]] = [fit.toScreen(ends[0] ?? []), fit.toScreen(ends[1] ?? [])];
-  return draw("line", { ...attributes, x1, y1, x2, y2 });
+/** Attributes of what mouse, touch and keyboard can press: see pressing.ts. */
+function pressable(label: string): Record<string, string> {
+  return { role: "button", tabindex: "0", "aria-label": label };
 }
 
 function openPath(points: number[][], fit: Fit): string {

@@ -3,23 +3,27 @@ import type { FloorPlanModel } from "../link/messages";
 import type { Point } from "./svg";
 
 const MARGIN = 26; // pixels: names and dots at the edge are not cut
+const HEAD = 36; // at the upper edge: what can be done
+const FOOT = 50; // at the lower edge: the scale and how many rooms there are
 const LARGEST = 220; // pixels a metre: a single room does not fill the panel with one wall
 
 export class Fit {
   private readonly scale: number;
   private readonly isTurned: boolean;
-  private readonly centre: Point;
+  private readonly centre: Point; // on the plan
+  private readonly middle: Point; // on the screen, of the same
 
   constructor(
     private readonly plan: FloorPlanModel,
-    private readonly width: number,
-    private readonly height: number,
+    width: number,
+    height: number,
   ) {
     const [w, h] = [this.size(0), this.size(1)];
-    const [across, up] = [Math.max(width - 2 * MARGIN, 50), Math.max(height - 2 * MARGIN, 50)];
+    const [across, up] = [Math.max(width - 2 * MARGIN, 50), Math.max(height - HEAD - FOOT, 50)];
     const [straight, turned] = [Math.min(across / w, up / h), Math.min(across / h, up / w)];
     this.isTurned = turned > 1.15 * straight;
     this.scale = Math.min(this.isTurned ? turned : straight, LARGEST / plan.unit);
+    this.middle = [width / 2, HEAD + up / 2];
     this.centre = [(low(plan, 0) + high(plan, 0)) / 2, (low(plan, 1) + high(plan, 1)) / 2];
   }
 
@@ -31,11 +35,11 @@ export class Fit {
   toScreen(at: readonly number[]): Point {
     const [x, y] = [(at[0] ?? 0) - this.centre[0], (at[1] ?? 0) - this.centre[1]];
     const [right, up] = this.isTurned ? [y, -x] : [x, y];
-    return [this.width / 2 + right * this.scale, this.height / 2 - up * this.scale];
+    return [this.middle[0] + right * this.scale, this.middle[1] - up * this.scale];
   }
 
   toPlan([left, top]: Point): Point {
-    const [right, up] = [(left - this.width / 2) / this.scale, (this.height / 2 - top) / this.scale];
+    const [right, up] = [(left - this.middle[0]) / this.scale, (this.middle[1] - top) / this.scale];
     const [x, y] = this.isTurned ? [-up, right] : [right, up];
     return [x + this.centre[0], y + this.centre[1]];
   }

@@ -1,16 +1,26 @@
 // One room: its name, names that something seen speaks for, and rooms that it is one with.
 import { call } from "../link/api";
-import type { FloorPlanModel, NameSuggestionModel, RoomModel } from "../link/messages";
+import type { FloorPlanModel, NameSuggestionModel, PlanRoom, RoomModel } from "../link/messages";
 import { closingButtons } from "../ui/dialogs";
 import { by, make, present, setText } from "../ui/dom";
 import { count, percent, sentence } from "../ui/text";
 import { offerUndo, undoable } from "../places/changes";
 
-/** Ask for its name first: whoever clicks into a room most likely wants to name it. */
-export async function openRoom(id: string, plan: FloorPlanModel): Promise<void> {
-  const room = await call<RoomModel>("GET", `/rooms/${id}`);
+/**
+ * Ask for its name first: whoever presses a room most likely wants to name it. At once, with what the plan knows: a phone
+ * shows its keyboard for what a finger has just pressed only. The rest follows.
+ */
+export async function openRoom(room: PlanRoom, plan: FloorPlanModel): Promise<void> {
   const dialog = by("room-dialog", HTMLDialogElement);
-  const input = make("input", { value: room.named ? room.name : "", maxlength: "80", required: true, id: "room-name" });
+  const input = make("input", {
+    value: room.named ? room.name : "",
+    maxlength: "80",
+    required: true,
+    id: "room-name",
+    autocomplete: "off",
+    autocapitalize: "sentences",
+    enterkeyhint: "done",
+  });
   input.placeholder = room.name;
   const why = make("p", { class: "note bad", role: "alert" });
   const form = make(
@@ -35,21 +45,30 @@ export async function openRoom(id: string, plan: FloorPlanModel): Promise<void> 
     void name(input.value.trim());
   });
   const button = closingButtons(dialog);
-  const area = room.area_m2 === null ? [] : [`${room.area_m2.toFixed(1)} m²`];
-  const about = [...area, count(room.doors.length, "door"), count(room.places.length, "place")].join(" · ");
+  const about = make("p", { class: "note" }, "…");
   dialog.replaceChildren(
     ...present(
       make("h2", {}, room.name),
-      make("p", { class: "note" }, about),
+      about,
       form,
       why,
-      room.suggestions.length > 0 && suggestions(room.suggestions, (text) => void name(text)),
       mergeRow(room, plan, button),
       make("div", { class: "row end" }, button("Close", null, "quiet")),
     ),
   );
   dialog.showModal();
   input.focus();
+  const known = await call<RoomModel>("GET", `/rooms/${room.id}`).catch((error: unknown) => {
+    dialog.close(); // it is gone
+    throw error;
+  });
+  setText(about, describe(known));
+  if (known.suggestions.length > 0) why.after(suggestions(known.suggestions, (text) => void name(text)));
+}
+
+function describe(room: RoomModel): string {
+  const area = room.area_m2 === null ? [] : [`${room.area_m2.toFixed(1)} m²`];
+  return [...area, count(room.doors.length, "door"), count(room.places.length, "place")].join(" · ");
 }
 
 const SOURCES: Record<NameSuggestionModel["source"], string> = {
@@ -88,7 +107,7 @@ function suggestions(all: NameSuggestionModel[], use: (name: string) => void): H
 
 /** Rooms behind its doors: with each of them it may be one. */
 function mergeRow(
-  room: RoomModel,
+  room: PlanRoom,
   plan: FloorPlanModel,
   button: ReturnType<typeof closingButtons>,
 ): HTMLElement | false {

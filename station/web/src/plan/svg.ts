@@ -17,4 +17,9 @@ export function closedPath(points: Point[]): string {
   return `M${points.map(([x, y]) => `${x.toFixed(1)} ${y.toFixed(1)}`).join("L")}Z`;
 }
 
+/** Selects what has this value for this kind of data. */
+export function withData(kind: string, value: string): string {
+  return `[data-${kind}="${CSS.escape(value)}"]`;
+}
+
 export type Point = [number, number];

@@ -1,6 +1,6 @@
 // The floor plan of the map in use: what one looks at first, with the robot in it.
 import { call } from "../link/api";
-import type { CurrentPlace, DoorModel, FloorPlanModel, PlaceModel, PlanPlace } from "../link/messages";
+import type { CurrentPlace, DoorModel, FloorPlanModel, PlaceModel } from "../link/messages";
 import { Refresh } from "../link/refresh";
 import { undoable } from "../places/changes";
 import { by, make, setText, show } from "../ui/dom";
@@ -9,9 +9,17 @@ import { attempt, toast } from "../ui/toast";
 import { DoorPen } from "./door_pen";
 import { drawPlan } from "./drawing";
 import { Fit } from "./fit";
+import { listenTo } from "./pressing";
 import { drawRobot } from "./robot";
 import { openRoom } from "./room_dialog";
-import { draw, type Point } from "./svg";
+import { draw, type Point, withData } from "./svg";
+
+/** What a drawing was made of. */
+interface Drawn {
+  plan: FloorPlanModel;
+  width: number;
+  height: number;
+}
 
 export class PlanView {
   private readonly host = by("plan");
@@ -28,11 +36,13 @@ export class PlanView {
   private wanted: string | null = null;
   private plan: FloorPlanModel | null = null;
   private fit: Fit | null = null;
+  private drawn: Drawn | null = null;
   private place: CurrentPlace | null = null;
 
   /** `onPlace`: a place was clicked. */
   constructor(private readonly onPlace: (place: PlaceModel) => void) {
     this.host.prepend(this.svg);
+    listenTo(this.host, { onPress: (part) => this.press(part), onHover: (part) => this.hover(part) });
     this.button.addEventListener("click", () => this.takePen(!this.pen.isOut));
     new ResizeObserver(() => this.draw()).observe(this.host);
     document.addEventListener("keydown", (event) => {
@@ -78,42 +88,68 @@ export class PlanView {
     this.draw();
   }
 
+  /** Where it is seen, and unless it is drawn like that already. */
   private draw(): void {
+    const { plan, drawn } = this;
     const { clientWidth: width, clientHeight: height } = this.host;
-    if (!this.plan || !width || !height) {
-      this.svg.replaceChildren();
-      this.fit = null;
-      return;
-    }
-    const { plan } = this;
+    if (!plan) this.clear();
+    if (!plan || !width || !height) return;
+    if (drawn?.plan === plan && drawn.width === width && drawn.height === height) return;
+    const focused = this.focusedPart();
+    this.drawn = { plan, width, height };
     this.fit = new Fit(plan, width, height);
     this.svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
-    this.hover(null, [0, 0]);
-    const still = drawPlan(plan, this.fit, height, {
-      onRoom: (room) => attempt(() => openRoom(room.id, plan)),
-      onDoor: (door) => this.askDoor(door),
-      onPlace: (place) => attempt(() => this.openPlace(place)),
-      onHover: (place, at) => this.hover(place, at),
-    });
-    this.svg.replaceChildren(still, this.moving);
+    this.hover(null);
+    this.svg.replaceChildren(drawPlan(plan, this.fit, height), this.moving);
+    if (focused) this.svg.querySelector<SVGElement>(focused)?.focus();
     setText(by("plan-count"), this.summary);
+    this.hint();
     this.drawMoving();
+  }
+
+  private clear(): void {
+    this.svg.replaceChildren();
+    this.fit = this.drawn = null;
+  }
+
+  /** A selector of what has the keyboard's focus: a new drawing has other elements. */
+  private focusedPart(): string | null {
+    const part = this.svg.querySelector<SVGElement>(":focus");
+    const name = ["room", "door", "dot"].find((kind) => part?.dataset[kind] !== undefined);
+    return part && name ? `[role=button]${withData(name, part.dataset[name] ?? "")}` : null;
   }
 
   private drawMoving(): void {
     if (!this.plan || !this.fit) return;
     this.moving.replaceChildren(...drawRobot(this.place, this.plan, this.fit));
-    const room = this.place?.room?.id;
-    const place = this.place?.place?.id;
-    for (const node of this.svg.querySelectorAll<SVGElement>("[data-room]"))
-      node.classList.toggle("here", node.dataset.room === room);
-    for (const node of this.svg.querySelectorAll<SVGElement>("[data-dot]"))
-      node.classList.toggle("here", node.dataset.dot === place);
+    this.mark("room", this.place?.room?.id ?? null);
+    this.mark("dot", this.place?.place?.id ?? null);
   }
 
-  private hover(place: PlanPlace | null, [x, y]: Point): void {
-    show(this.card, place !== null);
-    if (!place) return;
+  /** Where the robot is: this one alone. */
+  private mark(kind: "room" | "dot", id: string | null): void {
+    const here = id === null ? [] : [...this.svg.querySelectorAll<SVGElement>(withData(kind, id))];
+    for (const node of this.svg.querySelectorAll<SVGElement>(`.here[data-${kind}]`))
+      if (!here.includes(node)) node.classList.remove("here");
+    for (const node of here) node.classList.add("here");
+  }
+
+  private press(part: SVGElement): void {
+    const { plan } = this;
+    if (!plan) return;
+    const { room, door, dot } = part.dataset;
+    const named = plan.rooms.find(({ id }) => id === room);
+    if (named) attempt(() => openRoom(named, plan));
+    if (dot !== undefined) attempt(() => this.openPlace(dot));
+    const pressed = plan.doors.find(({ id }) => id === door);
+    if (pressed) this.askDoor(pressed);
+  }
+
+  private hover(part: SVGElement | null): void {
+    const place = this.plan?.places.find(({ id }) => id === part?.dataset.dot);
+    show(this.card, place !== undefined);
+    if (!place || !this.fit) return;
+    const [x, y] = this.fit.toScreen(place.at);
     const picture = place.representative_image;
     this.card.replaceChildren(
       ...(picture ? [make("img", { src: picture, alt: "" })] : []),
@@ -125,8 +161,8 @@ export class PlanView {
     this.card.classList.toggle("below", y < height / 2);
   }
 
-  private async openPlace(place: PlanPlace): Promise<void> {
-    this.onPlace(await call<PlaceModel>("GET", `/places/${place.id}`));
+  private async openPlace(id: string): Promise<void> {
+    this.onPlace(await call<PlaceModel>("GET", `/places/${id}`));
   }
 
   private askDoor(door: DoorModel): void {
@@ -144,7 +180,14 @@ export class PlanView {
   private takePen(isOut: boolean): void {
     this.pen.take(isOut);
     this.button.setAttribute("aria-pressed", String(isOut));
-    show(by("pen-hint"), isOut);
+    this.hint();
+  }
+
+  /** What can be done here, until it is done. */
+  private hint(): void {
+    const isUnnamed = this.plan?.rooms.some(({ named }) => !named) ?? false;
+    show(by("pen-hint"), this.pen.isOut);
+    show(by("name-hint"), isUnnamed && !this.pen.isOut);
   }
 
   private drawDoor(line: [Point, Point]): void {

@@ -1,0 +1,65 @@
+"""A flat's rooms are named on a phone: press, type, done; nothing is too small, cut off, or under the keyboard."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from playwright.async_api import Page, expect
+
+from station.maps.store import MapStore
+from station.places.making.build import build_map
+from station.places.rooms.edits import with_room_split
+from station.places.rooms.planning import planned
+from tests.e2e.conftest import Room
+from tests.support.made_up_workers import made_up_navigation
+from tests.support.station import DRAWN
+
+pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="module")]
+SMALL_PHONE = {"viewport": {"width": 375, "height": 667}, "has_touch": True, "is_mobile": True}
+KEYBOARD = 0.5  # share of the screen that a phone's keyboard may cover
+FINGER_PX = 44
+NAMES = ("Hall", "Kitchen", "Bath")
+ACROSS = np.array([[-1.0, 2.0], [2.0, 2.0]])  # parts the smaller half of the room that DRAWN makes two of
+SIZES = """selector => [...document.querySelectorAll(selector)].map((e) => {
+  const box = e.getBoundingClientRect();
+  return [e.textContent.trim() || e.id, box.width, box.height, box.bottom];
+}).filter(([, width]) => width)"""
+
+
+async def test_the_rooms_of_a_flat_are_named_on_a_phone(room: Room) -> None:
+    flat = with_room_split(planned(build_map(made_up_navigation(), name="Flat")), DRAWN)
+    flat = with_room_split(flat, ACROSS)
+    assert flat.plan is not None and len(flat.plan.rooms) == len(NAMES)
+    MapStore(room.desk.station.config.data_dir / "maps").save(flat)
+    page = await room.open(**SMALL_PHONE)
+    await room.desk.http.put("/maps/active", json={"id": flat.id})
+    await expect(page.locator(".plan-room")).to_have_count(len(NAMES))
+    await page.locator(".map").evaluate("e => e.scrollIntoView({block: 'start'})")
+    box = await page.locator("#plan").bounding_box()
+    assert box is not None and box["x"] >= 0 and box["x"] + box["width"] <= 375 and box["y"] + box["height"] <= 667
+    await expect(page.locator("#name-hint")).to_be_visible()
+    await reachable(page, ".map-bar button")
+    for drawn, name in zip(flat.plan.rooms, NAMES, strict=True):
+        label = page.locator(f".plan-names [data-room='{drawn.id}']")
+        await label.tap()
+        await expect(page.locator("#room-name")).to_be_focused()
+        await expect(page.locator("#room-dialog .note").first).to_contain_text("door")
+        await reachable(page, "#room-dialog :is(button, input, select)")
+        bottom = max(row[3] for row in await page.evaluate(SIZES, "#room-dialog .naming > *"))
+        assert bottom < KEYBOARD * 667, "the keyboard covers the field or its button"
+        await page.keyboard.type(name)
+        await page.locator("#room-dialog").get_by_role("button", name="Save").tap()
+        await expect(label).to_have_text(name)
+        await reachable(page, "#toast button")
+    await expect(page.locator("#name-hint")).to_be_hidden()
+    assert await page.evaluate("document.documentElement.scrollWidth") == 375
+
+
+async def reachable(page: Page, selector: str) -> None:
+    """As large as a finger, and their letters so large that a phone does not zoom to them."""
+    sizes = await page.evaluate(SIZES, selector)
+    assert sizes and [row for row in sizes if min(row[1], row[2]) < FINGER_PX] == []
+    fonts = await page.locator("dialog[open] :is(input, select)").evaluate_all(
+        "all => all.map(e => parseFloat(getComputedStyle(e).fontSize))"
+    )
+    assert min(fonts, default=16) >= 16
