@@ -133,7 +133,10 @@ class ImageEvidence:
         worth = float(np.log((1 - false) / (false * again)))  # log odds, for a hypothesis that it fits
         expected_by = [_expected_by(fits, j) for j in range(len(candidates))]
         freshness = self._novelty(candidates, figures, before, expected_by, share, worth)
-        large = np.minimum(odds * c.false_localization_floor / (1 - c.false_localization_floor), 1.0)
+        expecting = [None if i is None else before.hypotheses[i] for i in expected_by]
+        together = [self._odds_together(*of_one) for of_one in zip(candidates, figures, expecting, strict=True)]
+        surely = np.log(1 / c.false_localization_floor - 1)  # no look-alike furniture is as large
+        large = np.exp(np.minimum(np.array(together) - surely, 0.0))
         twins = Twins(before.hypotheses, fits, share, large, freshness)
         at *= twins.tempering
         density *= twins.tempering[:, None]
@@ -253,15 +256,21 @@ class ImageEvidence:
             # What any of them recognised is no news to this one: a look-alike's pose may scatter.
             new = max(self._recognised_before(before.hypotheses, m).share_of_new(z.landmarks), c.same_landmarks)
             had = NOTHING if h is None else self._recognised_before((h,), m)
-            together = had.and_then(z.landmarks, z.t_robot_ns)
-            extent_m = together.extent(self._maps[m.map_index].place_map.navigation.landmarks.p_world) / m.unit
-            worth = max(0.0, log_odds(c.fitted.right, replace(figures[j], extent_m=extent_m)))
+            worth = max(0.0, self._odds_together(m, figures[j], h))
             worth -= float(np.log(c.deceived_again))  # as for the image alone: half of the look-alikes fit nothing
             if h is not None and had.seen and image_worth > 0 and worth < surely:
                 new = min(new, max(0.0, worth - h.counted_log_odds) / image_worth)
             novelty.append(new)
             weight.append(share[j] * (before.lost if h is None else h.weight))
         return float(np.clip(np.average(novelty, weights=np.array(weight) + 1e-12), 0.0, 1.0))
+
+    def _odds_together(self, m: PoseMeasurement, figures: MatchFigures, h: Hypothesis | None) -> float:
+        """Log odds of a candidate, were it as large as all that the hypothesis that expects it recognised with it."""
+        z = m.localization
+        had = NOTHING if h is None else self._recognised_before((h,), m)
+        together = had.and_then(z.landmarks, z.t_robot_ns)
+        extent_m = together.extent(self._maps[m.map_index].place_map.navigation.landmarks.p_world) / m.unit
+        return log_odds(self.config.fitted.right, replace(figures, extent_m=extent_m))
 
     def _recognised_before(self, hypotheses: Sequence[Hypothesis], m: PoseMeasurement) -> Recognised:
         """Landmarks of the candidate's map that these hypotheses recognised lately."""
