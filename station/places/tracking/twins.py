@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from shared.geometry import FloatArray
-from station.places.tracking.alike import UNRIVALLED, Alike
+from station.places.tracking.alike import Alike
 from station.places.tracking.belief import SAME_POSE, Agreement, Hypothesis
 
 LEAST = 1e-12  # of what has a logarithm
@@ -63,9 +63,10 @@ class Twins:
     def started(self) -> list[Alike]:
         """(C,) of a new hypothesis at each candidate: how much likelier its image says that it is than the others."""
         said = np.log(np.maximum(self._share, LEAST))
+        counts = self._freshness * self._large * (len(said) > 1)
         return [
-            UNRIVALLED.and_both({0: large}, float(x), self._freshness) if len(said) > 1 else UNRIVALLED
-            for x, large in zip(said - said.mean(), self._large, strict=True)
+            Alike(images=float(count), said=float(count * x))
+            for x, count in zip(said - said.mean(), counts, strict=True)
         ]
 
     def new_weights(self, factors: Sequence[float], expected_by: Sequence[int | None]) -> FloatArray:
