@@ -1,14 +1,16 @@
 """The current place on maps that SLAM made, over several kinds of worlds; every "known" counts.
 
     python -m benchmarks.bench_current_place [--worlds home:600-624 plain:600-624 real] [--wrong-focal 2]
-        [--without-turns] [--leave-kind-out] [--cache DIR] [--stored] [--jobs N] [--out FILE.json] [--figure FILE.png]
-        [--results FILE]
+        [--without-turns] [--map-all [--identical]] [--leave-kind-out] [--cache DIR] [--stored] [--jobs N]
+        [--out FILE.json] [--figure FILE.png] [--results FILE]
 
 Worlds that the cache does not hold are made first (`make_drives`: what a robot sent on drives with a hijack, one room
 left out of the map; the recordings of `real` must lie beside the repository). The tracker then runs over each drive as
 it was sent, with the images' poses as the localiser found them when the drive was made. `--stored` judges all that is
 in the cache and makes nothing. `--leave-kind-out`: the evidence of images in flats, plain homes and real recordings is
 what the two other kinds say (`fit_image_evidence`). How an answer is judged: tests/support/drives/judging.py.
+`--map-all`: all rooms are in the map, also both twins, and what is said in a twin is counted beside
+(tests/support/drives/twin_judging.py).
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ from pathlib import Path
 
 from benchmarks.drive_cache import load, stored
 from benchmarks.fit_image_evidence import without
-from benchmarks.make_drives import Job, add_mapping_option, jobs_of, make_missing
+from benchmarks.make_drives import Job, add_mapping_option, jobs_of, make_missing, options_of
 from benchmarks.result import Figure, Run, add_results_option, share, work_folder
 from station.experiments.calibration_curve import calibration_bins, draw_calibration
 from station.places.rooms.planning import planned
@@ -41,6 +43,7 @@ from tests.support.drives.playback import play_back
 from tests.support.drives.recorded import generator_of
 from tests.support.drives.room_judging import RoomDrive, judge_rooms, summarise_rooms
 from tests.support.drives.simulated import DriveOptions
+from tests.support.drives.twin_judging import TwinDrive, judge_twins, summarise_twins
 from tests.support.likelihood_fit import numbers
 
 WEAKEST = 5
@@ -48,6 +51,7 @@ WEAKEST = 5
 PRECISION, SILENT, FOUND_AGAIN, NOTICED = 99.0, 95.0, 90.0, 95.0
 ROOM_PRECISION, ROOM_KNOWN, ROOM_SILENT, ROOM_FOUND_S = 99.0, 95.0, 95.0, 3.0
 ROOM_CALIBRATION_ERROR = 0.03
+TWIN_GUESSED = 1.0  # answers in a twin room that name the other one
 RECALL = {"home": 85.0, "small": 85.0, "plain": 80.0, "kitchen": 85.0, "v101_halves": 75.0, "v102": 80.0}
 WORST_RECALL = 70.0  # of a single flat
 BADLY_WRONG, BADLY_WRONG_PRECISION = 2.0, 98.0  # with more per cent wrong it may be silent
@@ -68,6 +72,9 @@ class JudgedWorld:
     drives: tuple[JudgedDrive, ...]
     rooms: tuple[RoomDrive, ...] = ()
     is_looked_around: bool = True
+    maps_all: bool = False  # no room is left out, and the robot is put down in one of two twins
+    has_identical_twins: bool = False
+    twins: tuple[TwinDrive, ...] = ()
 
     @property
     def group(self) -> str:
@@ -75,7 +82,10 @@ class JudgedWorld:
         if self.kind == real.KIND:
             return ELSEWHERE if self.name.startswith("elsewhere") else self.name
         wrong = f", calibration {self.wrong_percent:g} % wrong" if self.wrong_percent else ""
-        return self.kind + wrong + ("" if self.is_looked_around else ", mapped without looking around")
+        how = "" if self.is_looked_around else ", mapped without looking around"
+        if self.maps_all:
+            how += ", identical twins both mapped" if self.has_identical_twins else ", twins both mapped"
+        return self.kind + wrong + how
 
 
 def judge_world(path: Path, leave_kind_out: bool = False) -> JudgedWorld:
@@ -87,11 +97,13 @@ def judge_world(path: Path, leave_kind_out: bool = False) -> JudgedWorld:
         place_map, quality = world.place_map, world.quality
         drives: list[JudgedDrive] = []
         rooms: list[RoomDrive] = []
+        twins: list[TwinDrive] = []
         if place_map is not None:
             place_map = planned(place_map)
             played = [(d, play_back(place_map, d, make_tracker)) for d in world.drives]
             drives += [judge_drive(place_map, d, answers) for d, answers in played]
             rooms += [judge_rooms(place_map, d, answers) for d, answers in played]
+            twins += [judge_twins(place_map, d, answers) for d, answers in played]
     scale, error_m = (quality.scale, quality.error_m) if quality else (None, None)
     wrong = wrong_percent(world.misfit)
     return JudgedWorld(
@@ -104,6 +116,9 @@ def judge_world(path: Path, leave_kind_out: bool = False) -> JudgedWorld:
         tuple(drives),
         tuple(rooms),
         world.is_looked_around,
+        maps_all=not world.left_out and world.kind != real.KIND,
+        has_identical_twins=world.has_identical_twins,
+        twins=tuple(twin for twin in twins if twin.answers),
     )
 
 
@@ -159,6 +174,8 @@ def figures_of(group: str, worlds: Sequence[JudgedWorld]) -> list[Figure]:
     if group == ELSEWHERE:
         return [part("not known", summary.silent, 100.0)]
     right = part("known and right in mapped rooms", summary.recall, least_recall)
+    if worlds[0].maps_all:
+        return [known, right, *twin_figures(group, [drive for world in worlds for drive in world.twins])]
     if worlds[0].kind == real.KIND:  # too few answers for more
         return [known, right]
     alarms, hours = summary.false_alarms_per_hour, summary.undisturbed_h
@@ -219,6 +236,23 @@ def room_figures(group: str, drives: Sequence[RoomDrive]) -> list[Figure]:
     ]
 
 
+def twin_figures(group: str, drives: Sequence[TwinDrive]) -> list[Figure]:
+    """What is said in a twin room that the robot was put down in, until it leaves it."""
+    twins = summarise_twins(drives)
+    said = (
+        ("wrong room named", twins.guessed, TWIN_GUESSED),
+        ("right room named", twins.right, None),
+        ("one of two", twins.one_of_two, None),
+        ("wrong place known", twins.place_wrong, TWIN_GUESSED),
+    )
+    return [
+        *(share(f"{group}: in a twin, {what}", of.count, of.of, at_most=at_most) for what, of, at_most in said),
+        share(
+            f"{group}: first room named in a twin is wrong", twins.first_wrong.count, twins.first_wrong.of, at_most=None
+        ),
+    ]
+
+
 def figures_of_all_real(worlds: Iterable[JudgedWorld]) -> list[Figure]:
     """Every known answer to a real recording, other buildings included."""
     drives = [drive for world in worlds if world.kind == real.KIND for drive in world.drives]
@@ -254,6 +288,9 @@ def print_report(groups: dict[str, list[JudgedWorld]]) -> None:
         print(described(summarise([drive for world in worlds for drive in world.drives])))
         for figure in room_figures(group, [drive for world in worlds for drive in world.rooms]):
             print(f"  {figure.what}: {figure.value}")
+        if worlds[0].maps_all:
+            for figure in twin_figures(group, [drive for world in worlds for drive in world.twins]):
+                print(f"  {figure.what}: {figure.value} of {figure.of}")
         print("  weakest:")
         for world in sorted(worlds, key=recall_of)[:WEAKEST]:
             print(f"  - {line(world)}")
@@ -283,7 +320,7 @@ def main() -> int:
     a = parser.parse_args()
     run = Run.begin()
     cache: Path = a.cache or work_folder() / "drives"
-    options = DriveOptions(looks_around=not a.without_turns)
+    options = options_of(a)
     jobs = [] if a.stored else jobs_asked(a.worlds, a.wrong_focal, options, cache)
     is_complete = make_missing(jobs, a.jobs)
     paths = stored(cache) if a.stored else [job.path for job in jobs if job.path.exists()]

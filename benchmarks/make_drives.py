@@ -1,13 +1,14 @@
 """Make recorded drives with truth for `bench_current_place` and for fitting the belief; what is there is left alone.
 
     python -m benchmarks.make_drives --kinds small,plain --seeds 900-905 [--wrong-focal 2] [--without-turns]
-        [--jobs N] --cache DIR
+        [--map-all [--identical]] [--jobs N] --cache DIR
 
 Each world is mapped by the `ukf` backend from a simulated mapping drive, one room left out, and driven through again
 three times, each with a hijack. Whoever maps goes through each room and turns once round in it, as the page asks
-(`--without-turns`: only goes through). `--wrong-focal P`: the robot is built otherwise than it says, by P % in focal
-length and wheels, and P/2 times 1 degree, 1 cm and 5 ms in the camera's mounting and time
-(tests/support/drives/misfit.py).
+(`--without-turns`: only goes through). `--map-all`: of flats with twin rooms no room is left out, and the robot is put
+down in either twin, twice; `--identical`: these have the same pictures, too. `--wrong-focal P`: the robot is built
+otherwise than it says, by P % in focal length and wheels, and P/2 times 1 degree, 1 cm and 5 ms in the camera's
+mounting and time (tests/support/drives/misfit.py).
 One process per core. Every world's line says how true its map is and what it cost.
 """
 
@@ -47,7 +48,13 @@ class Job:
     def path(self) -> Path:
         if self.kind == real.KIND:
             return path_of(self.cache, self.kind, self.name)
-        how = ("slam" if self.options.with_slam else "", "" if self.options.looks_around else "passing")
+        o = self.options
+        how = (
+            "slam" if o.with_slam else "",
+            "" if o.looks_around else "passing",
+            "all" if o.maps_all else "",
+            "identical" if o.identical_twins else "",
+        )
         return path_of(self.cache, self.kind, self.name, self.misfit.name, *how)
 
     def make(self) -> RecordedWorld:
@@ -104,6 +111,15 @@ def described(world: RecordedWorld) -> str:
 
 def add_mapping_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--without-turns", action="store_true", help="whoever maps does not look around in the rooms")
+    parser.add_argument("--map-all", action="store_true", help="no room is left out; hijacks go into twin rooms")
+    parser.add_argument("--identical", action="store_true", help="nothing within twin rooms tells them apart")
+
+
+def options_of(a: argparse.Namespace, with_slam: bool = False) -> DriveOptions:
+    """As the mapping options say."""
+    return DriveOptions(
+        with_slam=with_slam, looks_around=not a.without_turns, maps_all=a.map_all, identical_twins=a.identical
+    )
 
 
 def main() -> int:
@@ -116,7 +132,7 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--cache", type=Path, required=True, help="folder, outside of the repository")
     a = parser.parse_args()
-    options = DriveOptions(with_slam=a.with_slam, looks_around=not a.without_turns)
+    options = options_of(a, a.with_slam)
     by_kind = [jobs_of(kind, a.seeds, a.wrong_focal, options, a.cache) for kind in a.kinds.split(",")]
     # Seed by seed, so that what is there when it is ended early has all kinds in it.
     jobs = [job for same_seed in zip_longest(*by_kind) for job in same_seed if job is not None]

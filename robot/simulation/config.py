@@ -120,6 +120,7 @@ class SimulationConfig(Section, frozen=True, kw_only=True):
     build: BuildErrors = BuildErrors()
     faults: Faults = Faults()
     lookalike_rooms: bool = False
+    identical_twins: bool = False  # twin rooms have the same pictures, too: nothing within them tells them apart
     stickers: bool = False  # one in each room, with its name (docs/names.md)
     moved_chairs_seed: int | None = None
     light_seed: int | None = None

@@ -34,6 +34,7 @@ class FlatOptions:
     rooms: tuple[int, int] = (3, 5)
     room_area_m2: tuple[float, float] = (10.5, 13.0)
     lookalike_rooms: bool = False  # two rooms differ in nothing but their pictures
+    identical_twins: bool = False  # ... nor in these
     moved_chairs_seed: int | None = None  # chairs, boxes and baskets stand elsewhere
     light_seed: int | None = None  # rooms are lit differently
 
@@ -55,11 +56,16 @@ def make_flat(name: str, seed: int, options: FlatOptions) -> World:
     if options.lookalike_rooms:
         room_seeds[2] = room_seeds[1]
         plain_room = 0
+    are_identical = options.lookalike_rooms and options.identical_twins
     for index, room in enumerate(rooms):
         featureless = plain_side if index == plain_room else -1
-        furnish_room(builder, room, index, doors, room_seeds[index], featureless, options.moved_chairs_seed)
-    for door in doors:
-        _build_jambs(builder, door, rng)
+        pictures = 1 if are_identical and index == 2 else index
+        furnish_room(builder, room, index, doors, room_seeds[index], featureless, options.moved_chairs_seed, pictures)
+    jambs = [rng] * len(doors)
+    if are_identical:
+        jambs[:2] = [np.random.default_rng([room_seeds[1], 10]) for _ in range(2)]
+    for door, of_door in zip(doors, jambs, strict=True):
+        _build_jambs(builder, door, of_door)
     light = _light(options.light_seed, len(rooms))
     start_room = max(rooms, key=lambda r: (r.x1_m - r.x0_m) * (r.y1_m - r.y0_m))
     start = (*start_room.centre, 0.0)
@@ -170,8 +176,9 @@ def furnish_room(
     seed: int,
     featureless_side: int = -1,
     moved_seed: int | None = None,
+    pictures_of: int | None = None,
 ) -> None:
-    """Walls, floor, ceiling, rug, furniture and pictures of one room."""
+    """Walls, floor, ceiling, rug, furniture and pictures of one room; `pictures_of`: another one that has the same."""
     rng = np.random.default_rng([seed, 2])
     pick = TexturePicker(np.random.default_rng([seed, 4]))
     width, depth = room.x1_m - room.x0_m, room.y1_m - room.y0_m
@@ -184,7 +191,8 @@ def furnish_room(
     rug = Pose2(centre.x_m + rng.uniform(-0.3, 0.3), centre.y_m + rng.uniform(-0.3, 0.3), 0.0)
     builder.level(rug, rug_size, 0.004, pick.new("rug", *rug_size, 400), index)
     style = "tiled" if kind == "kitchen" else WALL_STYLES[int(rng.integers(0, len(WALL_STYLES)))]
-    pictures = TexturePicker(np.random.default_rng([seed, 9, index]))  # also of twins, no two pictures are the same
+    # Also of twins, no two pictures are the same, unless it is asked for.
+    pictures = TexturePicker(np.random.default_rng([seed, 9, index if pictures_of is None else pictures_of]))
     deepest = 0.5 * min(width, depth) - 0.65 + 0.2  # m, of a piece: the robot passes between two of them
     furnisher = _Furnisher(builder, rng, pick, pictures, index, list(ROOM_KINDS[kind]), deepest, moved_seed)
     for side, run in enumerate(wall_runs(room, index, doors)):

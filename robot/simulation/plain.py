@@ -58,9 +58,17 @@ class _Style:
 
 
 def make_plain(
-    name: str, seed: int, needs_twins: bool, moved_seed: int | None = None, light_seed: int | None = None
+    name: str,
+    seed: int,
+    needs_twins: bool,
+    moved_seed: int | None = None,
+    light_seed: int | None = None,
+    identical_twins: bool = False,
 ) -> World:
-    """Build the home of a seed. Twin rooms have the same shape, furniture and light; their pictures differ."""
+    """Build the home of a seed. Twin rooms have the same shape, furniture and light; their pictures differ.
+
+    `identical_twins`: those are the same, too.
+    """
     rng = np.random.default_rng([seed, 21])
     plan = draw_plan(rng, needs_twins, name)
     style = _Style(
@@ -77,7 +85,8 @@ def make_plain(
     rooms = _rooms(plan)
     builder, lamps = Builder(), []
     for index, (room, planned) in enumerate(zip(rooms, plan.rooms, strict=True)):
-        furnisher = _Furnisher(builder, style, room, planned, index, plan.doors, room_seeds[index])
+        prints = plan.twins[0] if identical_twins and plan.twins is not None and index == plan.twins[1] else index
+        furnisher = _Furnisher(builder, style, room, planned, index, plan.doors, room_seeds[index], prints)
         furnisher.furnish()
         lamps += furnisher.lamps
     for door in plan.doors:
@@ -173,6 +182,7 @@ class _Furnisher:
     index: int
     doors: tuple[Door, ...]
     seed: int
+    prints_of: int  # number of the room whose pictures it has: its own, but for identical twins
     lamps: list[Lamp] = field(default_factory=list)
     taken: list[_Box] = field(default_factory=list)  # footprints, door zones
     hung: list[list[tuple[float, float]]] = field(default_factory=lambda: [[] for _ in range(4)])  # m along each wall
@@ -197,7 +207,7 @@ class _Furnisher:
             self._build_lamp(runs, rng)
         self._build_sockets(runs, rng)
         self._hang_small_things(runs, np.random.default_rng([self.seed, 25]))
-        own = np.random.default_rng([self.seed, 24, self.index])  # twins have other pictures
+        own = np.random.default_rng([self.seed, 24, self.prints_of])  # twins have other pictures
         self._hang_prints(runs, own)
 
     # --- the shell ------------------------------------------------------------------------------------------------

@@ -46,14 +46,18 @@ def make_world(name: str, seed: int, config: SimulationConfig | None = None) -> 
 
 def _make_world(name: str, seed: int, config: SimulationConfig) -> World:
     moved, light = config.moved_chairs_seed, config.light_seed
-    if name in ("home", "lookalike"):
-        twins = name == "lookalike" or config.lookalike_rooms
-        options = FlatOptions(lookalike_rooms=twins, moved_chairs_seed=moved, light_seed=light)
-        return make_flat(name, seed, options)
-    if name == "small":
-        return make_flat(name, seed, FlatOptions((3, 3), (8.4, 9.6), config.lookalike_rooms, moved, light))
+    if name in ("home", "lookalike", "small"):
+        options = FlatOptions(
+            lookalike_rooms=name == "lookalike" or config.lookalike_rooms,
+            identical_twins=config.identical_twins,
+            moved_chairs_seed=moved,
+            light_seed=light,
+        )
+        return make_flat(
+            name, seed, replace(options, rooms=(3, 3), room_area_m2=(8.4, 9.6)) if name == "small" else options
+        )
     if name in ("plain", "corner", "large"):
-        return make_plain(name, seed, config.lookalike_rooms, moved, light)
+        return make_plain(name, seed, config.lookalike_rooms, moved, light, config.identical_twins)
     if name == "room":
         return _single_room(seed, moved, light)
     if name == "vicon":

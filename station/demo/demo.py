@@ -310,10 +310,12 @@ def ask(demo: Demo, told: str) -> tuple[Sample | None, str]:
     answer = demo.station.get("/place/current")
     place, room = answer["place"], answer["room"]
     named = where(place["name"] if place else "", room["name"] if room else "")
-    words = named or answer["state"]
+    two = sorted(answer["one_of_two"], key=lambda one: str(one["name"]))  # of two alike either may be ahead
+    words = named or (f"in {' or '.join(one['name'] for one in two)}" if two else answer["state"])
     if words != told:
         probability = answer["probability"] if place else room["probability"] if room else None
-        sure = "" if probability is None else f" ({probability:.0%})"
+        shares = [one["probability"] for one in two] if probability is None else [probability]
+        sure = f" ({' or '.join(f'{share:.0%}' for share in shares)})" if shares else ""
         demo.say(f"    current place: {words}{sure}: {answer['reason']}")
     if answer["t_robot_ns"] is None:
         return None, words

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -51,6 +52,24 @@ class RoomCandidate:
     id: str
     name: str
     probability: float
+
+
+SURE = 0.8  # together, that two rooms are said to be all it may be: as much as one room is named from
+HARDLY = 0.1  # what is less probable is no room worth naming
+
+
+def one_of_two(rooms: Sequence[RoomCandidate]) -> tuple[RoomCandidate, ...]:
+    """While no room is known, the two of which it is surely one, such as rooms that look alike; else none.
+
+    Args:
+        rooms: `PlaceAnswer.room_alternatives`, the likeliest first.
+    Returns:
+        Two, the likelier first, or none.
+    """
+    likely = [room for room in rooms if room.probability >= HARDLY]
+    if len(likely) != 2 or likely[0].probability + likely[1].probability < SURE:
+        return ()
+    return tuple(likely)
 
 
 def where(place: str, room: str) -> str:

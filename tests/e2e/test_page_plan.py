@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import re
+
 import pytest
-from playwright.async_api import expect
+from playwright.async_api import WebSocketRoute, expect
 
 from tests.e2e.conftest import Room
 from tests.support.station import store_planned_map
@@ -32,3 +35,31 @@ async def test_a_room_is_named_by_clicking_into_it_and_by_a_suggestion(room: Roo
     await page.locator("[data-layer=map]").click()
     await expect(page.locator("#plan")).to_be_hidden()
     await expect(page.locator(".place-label")).to_have_count(len(planned.places))
+
+
+async def test_of_two_rooms_that_look_alike_both_are_named_each_with_its_probability(room: Room) -> None:
+    planned = store_planned_map(room.desk.station.config.data_dir)
+    two = [{"id": "room-l", "name": "Bedroom", "probability": 0.52}]
+    two += [{"id": "room-k", "name": "Bedroom 2", "probability": 0.46}]
+
+    def between_rooms(socket: WebSocketRoute) -> None:
+        """The station's words, with another answer to where the robot is."""
+        station = socket.connect_to_server()
+
+        def pass_on(message: str | bytes) -> None:
+            told = json.loads(message)
+            if told["type"] == "place":
+                told["place"] |= {"state": "lost", "place": None, "distance_m": None, "room": None, "doorway": None}
+                told["place"] |= {"room_alternatives": two, "one_of_two": two}
+            socket.send(json.dumps(told))
+
+        station.on_message(pass_on)
+
+    page = await room.new_page()
+    await page.route_web_socket(re.compile("/ws/events"), between_rooms)
+    await page.goto(room.desk.address)
+    await room.desk.http.put("/maps/active", json={"id": planned.id})
+    await expect(page.locator("#place-name")).to_have_text("Bedroom or Bedroom 2")
+    await expect(page.locator("#place-at")).to_have_text("Bedroom 52 %, Bedroom 2 46 %")
+    await expect(page.locator("#place-kicker")).to_have_text("One of two rooms")
+    await expect(page.locator("#place-probability")).to_have_text("")

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from tests.support.made_up_workers import OneOfTwoRooms
 from tests.support.station import DRAWN, store_map, store_planned_map, store_split_map
-from tests.support.station_at_work import at_work, is_problem
+from tests.support.station_at_work import at_work, is_problem, wait_for
 
 
 async def test_rooms_are_listed_named_drawn_and_taken_back(tmp_path: Path) -> None:
@@ -28,6 +29,22 @@ async def test_rooms_are_listed_named_drawn_and_taken_back(tmp_path: Path) -> No
         assert (await http.get("/places/changes")).json()[0]["why"] == "Room 2 is Kitchen now"
         await http.post("/places/undo")
         assert (await http.get("/rooms/room-k")).json()["name"] == "Room 2"
+
+
+async def test_of_two_rooms_that_look_alike_both_are_told_and_none_is_named(tmp_path: Path) -> None:
+    planned = store_planned_map(tmp_path)
+    async with at_work(tmp_path, place_program=OneOfTwoRooms) as (desk, _, _):
+        await desk.http.put("/maps/active", json={"id": planned.id})
+        answer = await wait_for(desk, "/place/current", lambda a: a["one_of_two"])
+        assert answer["room"] is None and answer["place"] is None
+        assert [(one["name"], one["probability"]) for one in answer["one_of_two"]] == [
+            ("Living room", 0.5),
+            ("Room 2", 0.45),
+        ]
+        assert answer["room_alternatives"] == answer["one_of_two"]
+        await desk.http.patch("/rooms/room-k", json={"name": "Kitchen"})
+        renamed = (await desk.http.get("/place/current")).json()
+        assert [one["name"] for one in renamed["one_of_two"]] == ["Living room", "Kitchen"]
 
 
 async def test_rooms_are_made_one_and_parted_again(tmp_path: Path) -> None:

@@ -16,7 +16,14 @@ from station.model.calibration_fit import CalibrationFit, judge
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.map_store import StoreAddress
 from station.model.navigation import Navigation
-from station.model.place_answer import HijackEvent, HijackNotice, PlaceAnswer, PlaceCandidate, PlaceReport
+from station.model.place_answer import (
+    HijackEvent,
+    HijackNotice,
+    PlaceAnswer,
+    PlaceCandidate,
+    PlaceReport,
+    RoomCandidate,
+)
 from station.model.place_map import Grouping, PlaceMap
 from station.model.slam_update import SlamUpdate
 from station.places.making.changes import without_hidden
@@ -172,6 +179,18 @@ class PlaceByLight(PlaceProgram):
         if is_moved:
             self._emit(HijackNotice(HijackEvent(t_robot_ns, "vision", "the light went out", 0.98), report))
         return report
+
+
+class OneOfTwoRooms(PlaceByLight):
+    """Every picture fits the first two rooms of the first map alike."""
+
+    def answer(self, frame: ImageFrame) -> PlaceReport:
+        report = super().answer(frame)
+        plan = self._maps[0].plan
+        assert plan is not None
+        two = zip(plan.rooms[:2], (0.5, 0.45), strict=True)
+        rooms = tuple(RoomCandidate(room.id, room.name, probability) for room, probability in two)
+        return replace(report, answer=replace(report.answer, state="lost", place=None, room_alternatives=rooms))
 
 
 def made_up_navigation() -> Navigation:

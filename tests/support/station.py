@@ -26,6 +26,7 @@ from station.model.place_map import PlaceMap
 from station.places.making.build import build_map
 from station.places.rooms.edits import with_room_split
 from station.places.rooms.planning import planned
+from station.workers.place_interface import PlaceProgram
 from station.workers.request import ProgramName
 from tests.support.link import Bench, until
 from tests.support.made_up_workers import PlaceByLight, made_up_navigation
@@ -120,6 +121,7 @@ async def running_station(
     *,
     backend: str = "tests.support.made_up_workers:StraightSlam",
     verify: ssl.SSLContext | None = None,
+    place_program: type[PlaceProgram] = PlaceByLight,
 ) -> AsyncIterator[Desk]:
     """Serve a station that looks for its robot(s) at this port; with `verify` by TLS, and with access control."""
     config = StationConfig(
@@ -132,7 +134,7 @@ async def running_station(
         slam=SlamConfig(backend=backend),
         localization=LocalizationConfig(rate_hz=4),
     )
-    station = Station(config, place_program=ProgramName.of(PlaceByLight))
+    station = Station(config, place_program=ProgramName.of(place_program))
     listener = bind(config.api.host, config.api.port)
     address = f"{'https' if verify else 'http'}://127.0.0.1:{listener.getsockname()[1]}"
     started = asyncio.Event()

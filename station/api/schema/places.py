@@ -10,7 +10,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from station.api.schema.base import Model, Name, Question
 from station.library.active_maps import ActiveMap
-from station.model.place_answer import RoomCandidate
+from station.model.place_answer import RoomCandidate, one_of_two
 from station.model.place_map import Place, PlaceMap
 from station.model.points import NO_PLACE
 from station.places.making.graph import Route
@@ -78,6 +78,10 @@ class CurrentPlace(Model):
     alternatives: list[PlaceProbability]
     room: RoomProbability | None = Field(description="null while none is probable enough, or the map has no rooms")
     room_alternatives: list[RoomProbability] = Field(description="what else it may be, the likeliest first")
+    one_of_two: list[RoomProbability] = Field(
+        description="while `room` is null, the two it is surely one of, such as rooms that look alike; else empty",
+        examples=[[]],
+    )
     doorway: str | None = Field(
         description="id of the door of GET /floorplan in which the robot is: both of its rooms are right then",
         examples=[None],
@@ -214,6 +218,7 @@ def current_place(robot: RobotSession) -> CurrentPlace:
             alternatives=[],
             room=None,
             room_alternatives=[],
+            one_of_two=[],
             doorway=None,
             evidence=Evidence(query_image=None, map_image=None, inliers=0, age_s=None),
             reason=_no_answer_yet(robot),
@@ -232,6 +237,7 @@ def current_place(robot: RobotSession) -> CurrentPlace:
 
     likeliest = answer.place or (answer.alternatives[0] if answer.alternatives else None)
     is_metric = active.place_map.navigation.is_metric
+    between = () if answer.room else one_of_two(answer.room_alternatives)
     evidence_ns, keyframe = answer.evidence_t_robot_ns, answer.evidence_keyframe
     has_query = evidence_ns is not None and robot.current_place.query_image(evidence_ns) is not None
     return CurrentPlace(
@@ -252,6 +258,7 @@ def current_place(robot: RobotSession) -> CurrentPlace:
         ],
         room=next(rooms_now(answer.room), None),
         room_alternatives=list(rooms_now(*answer.room_alternatives)),
+        one_of_two=list(rooms_now(*between)),
         doorway=answer.doorway,
         evidence=Evidence(
             query_image=f"{robot.path}/place/current/images/{evidence_ns}.jpg" if has_query else None,

@@ -12,8 +12,10 @@ import numpy as np
 
 from shared.geometry import FloatArray, IntArray, inverse, median_radius, se3, slerp
 from station.model.place_answer import Localization
+from station.places.tracking.alike import UNRIVALLED, Alike
 from station.places.tracking.config import BeliefConfig
 
+SAME_POSE = 36.0  # squared Mahalanobis distance: 6 sigma; tails are long
 FREEDOM = 3.0  # of Student's t: errors of right poses have longer tails than a normal density
 
 
@@ -96,6 +98,7 @@ class Hypothesis:
     counted_log_odds: float = 0.0  # how much was counted already for what is recognised
     way_m: float = 0.0  # of odometry since then: should the wheels have slipped, the pose is wrong by as much
     look_alike: float = 1.0  # probability, were the robot elsewhere, that a look-alike gave this pose
+    alike: Alike = UNRIVALLED
 
     @classmethod
     def started(
@@ -150,6 +153,7 @@ class Hypothesis:
             recognised=NOTHING,
             counted_log_odds=0.0,
             look_alike=self.look_alike * (1 - self.weight),
+            alike=UNRIVALLED,
         )
 
     @property

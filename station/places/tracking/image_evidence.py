@@ -23,14 +23,24 @@ from station.model.navigation import Landmarks
 from station.model.place_answer import Localization
 from station.motion.head import AHEAD, Aim
 from station.places.making.scale import USUAL_VIEWING_M
-from station.places.tracking.belief import FREEDOM, NOTHING, Agreement, Belief, Hypothesis, PoseMeasurement, Recognised
+from station.places.tracking.alike import Alike
+from station.places.tracking.belief import (
+    FREEDOM,
+    NOTHING,
+    SAME_POSE,
+    Agreement,
+    Belief,
+    Hypothesis,
+    PoseMeasurement,
+    Recognised,
+)
 from station.places.tracking.config import BeliefConfig
 from station.places.tracking.fitted import FailureOdds, RecognisedOdds, Usual
 from station.places.tracking.map_view import MapView
+from station.places.tracking.twins import Twins
 
 LEAST_EXTENT_M = 0.01  # a smaller one has no logarithm to speak of
 LITTLE = 5.0  # landmarks: added, so that a view of nothing has a logarithm
-SAME_POSE = 36.0  # squared Mahalanobis distance: 6 sigma; tails are long
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +83,12 @@ class ImageLikelihood:
     corrects: Sequence[Correction | None] = ()  # (H,) None: by no candidate
     expected_by: Sequence[int | None] = ()  # (C,) the hypothesis that a candidate fits; None: it is a new one
     counted_log_odds: float = 0.0  # how much the image counts for what it recognises
+    # Of what looks alike (`twins.py`): what each hypothesis has in common with others, and its least weight, (H,) ...
+    alike: Sequence[Alike] = ()
+    least: Sequence[float] = ()
+    # ... and of a new one at each candidate, (C,).
+    alike_new: Sequence[Alike] = ()
+    least_new: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 class ImageEvidence:
@@ -117,16 +133,28 @@ class ImageEvidence:
         worth = float(np.log((1 - false) / (false * again)))  # log odds, for a hypothesis that it fits
         expected_by = [_expected_by(fits, j) for j in range(len(candidates))]
         freshness = self._novelty(candidates, figures, before, expected_by, share, worth)
+        expecting = [None if i is None else before.hypotheses[i] for i in expected_by]
+        together = [self._odds_together(*of_one) for of_one in zip(candidates, figures, expecting, strict=True)]
+        surely = np.log(1 / c.false_localization_floor - 1)  # no look-alike furniture is as large
+        large = np.exp(np.minimum(np.array(together) - surely, 0.0))
+        twins = Twins(before.hypotheses, fits, share, large, freshness)
+        at *= twins.tempering
+        density *= twins.tempering[:, None]
+        fails = [1.0] * len(before.hypotheses)  # asked only where anything looks alike: it costs a while
+        if any(h.alike.both for h in before.hypotheses):
+            fails = self._failures(before, figures[0].features, T_nav_body @ aim.T_body_head)
         factors: list[float] = []
         corrects: list[Correction | None] = []
         for i in range(len(before.hypotheses)):
             elsewhere = float(np.delete(repeats, i).max(initial=0.0))
             likelihood = (1 - false) * at[i] + false * (1 - again + again * elsewhere)
-            factors.append(float(likelihood) ** freshness)
+            factors.append(twins.likelihood(i, float(likelihood), at, fails) ** freshness)
             best = int(np.argmax(density[i]))
             is_right = float((1 - false) * density[i][best] / likelihood)
             corrects.append(Correction(best, fits[i][best], is_right) if fits[i][best].squared < SAME_POSE else None)
         repeated = 1 - again + again * float(repeats.max(initial=0.0))
+        fails_in_map = failure_probability(c.fitted.fails_in_map, figures[0].features, 0.0)
+        alike = twins.after(expected_by, fails_in_map)
         likeliest = int(np.argmax(share))
         strayed = self._rarer(figures[likeliest]) if expected_by[likeliest] is None else false
         return ImageLikelihood(
@@ -139,6 +167,10 @@ class ImageEvidence:
             corrects=corrects,
             expected_by=expected_by,
             counted_log_odds=freshness * max(0.0, worth),
+            alike=alike,
+            least=twins.least_weights(factors, alike),
+            alike_new=twins.started(),
+            least_new=twins.new_weights(factors, expected_by),
         )
 
     def measured(self, z: Localization, aim: Aim = AHEAD) -> PoseMeasurement:
@@ -224,15 +256,21 @@ class ImageEvidence:
             # What any of them recognised is no news to this one: a look-alike's pose may scatter.
             new = max(self._recognised_before(before.hypotheses, m).share_of_new(z.landmarks), c.same_landmarks)
             had = NOTHING if h is None else self._recognised_before((h,), m)
-            together = had.and_then(z.landmarks, z.t_robot_ns)
-            extent_m = together.extent(self._maps[m.map_index].place_map.navigation.landmarks.p_world) / m.unit
-            worth = max(0.0, log_odds(c.fitted.right, replace(figures[j], extent_m=extent_m)))
+            worth = max(0.0, self._odds_together(m, figures[j], h))
             worth -= float(np.log(c.deceived_again))  # as for the image alone: half of the look-alikes fit nothing
             if h is not None and had.seen and image_worth > 0 and worth < surely:
                 new = min(new, max(0.0, worth - h.counted_log_odds) / image_worth)
             novelty.append(new)
             weight.append(share[j] * (before.lost if h is None else h.weight))
         return float(np.clip(np.average(novelty, weights=np.array(weight) + 1e-12), 0.0, 1.0))
+
+    def _odds_together(self, m: PoseMeasurement, figures: MatchFigures, h: Hypothesis | None) -> float:
+        """Log odds of a candidate, were it as large as all that the hypothesis that expects it recognised with it."""
+        z = m.localization
+        had = NOTHING if h is None else self._recognised_before((h,), m)
+        together = had.and_then(z.landmarks, z.t_robot_ns)
+        extent_m = together.extent(self._maps[m.map_index].place_map.navigation.landmarks.p_world) / m.unit
+        return log_odds(self.config.fitted.right, replace(figures, extent_m=extent_m))
 
     def _recognised_before(self, hypotheses: Sequence[Hypothesis], m: PoseMeasurement) -> Recognised:
         """Landmarks of the candidate's map that these hypotheses recognised lately."""
@@ -256,19 +294,25 @@ class ImageEvidence:
         """The likelihood of an image that was not recognised; `failed_before`: nor was the last one, 0 to 1."""
         c = self.config
         somewhere = failure_probability(c.fitted.fails_in_map, num_features, failed_before)
-        factors = []
-        for h in before.hypotheses:
-            count = self._in_view(h, T_nav_body @ aim.T_body_head)
-            at = (
-                somewhere
-                if count is None
-                else failure_probability(c.fitted.fails_at_pose, num_features, failed_before, count)
-            )
-            factors.append(at**freshness)
+        failures = self._failures(before, num_features, T_nav_body @ aim.T_body_head, failed_before)
+        factors = [at**freshness for at in failures]
         nowhere = failure_probability(c.fitted.fails_unmapped, num_features, failed_before)
         return ImageLikelihood(
             factors, somewhere**freshness, nowhere**freshness, corrects=(None,) * len(before.hypotheses)
         )
+
+    def _failures(
+        self, before: Belief, num_features: int, T_nav_head: FloatArray, failed_before: float = 0.0
+    ) -> list[float]:
+        """(H,) that an image is not recognised, were each hypothesis true."""
+        odds = self.config.fitted
+        counts = [self._in_view(h, T_nav_head) for h in before.hypotheses]
+        return [
+            failure_probability(odds.fails_in_map, num_features, failed_before)
+            if count is None
+            else failure_probability(odds.fails_at_pose, num_features, failed_before, count)
+            for count in counts
+        ]
 
     def _in_view(self, h: Hypothesis, T_nav_head: FloatArray) -> float | None:
         """How many landmarks must be in view, were a hypothesis true (`surely_in_view`); None: nobody knows.

@@ -40,6 +40,7 @@ class LookedAt:
     T_map_body: FloatArray | None  # (4, 4) by the alignment of the map to the truth; None: the map does not hold it
     beyond_m: float  # from the door of the room left out, when in it; 0 in a mapped room
     is_carried: bool  # in a hand
+    T_map_twin: FloatArray | None = None  # (4, 4) the same spot of the twin of the room it is in; None: it has none
 
 
 Event = ImuBatch | DriveSample | SlamPose | SlamFit | LookedAt
@@ -94,6 +95,7 @@ class RecordedWorld:
     drives: tuple[RecordedDrive, ...]
     cpu_s: dict[str, float] = field(default_factory=dict)  # what making it cost
     is_looked_around: bool = True  # whoever mapped a simulated home turned once round in every room
+    has_identical_twins: bool = False  # nothing within twin rooms tells them apart
 
 
 def generator_of(kind: str) -> str:

@@ -1,4 +1,4 @@
-"""Routes through a flat of which one room is left out of the map, and hijacks on them."""
+"""Routes through a flat of which one room is left out of the map, or none, and hijacks on them."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ import numpy as np
 
 from robot.simulation.routes import FreeSpace, Route, plan_route
 from robot.simulation.world import Obstacle, World
+from shared.errors import ConfigError
 from shared.geometry import FloatArray
 
 RADIUS_M = 0.21  # of the robot, as plan_route has it
 THROUGH = "through the unmapped room"
 MAPPED, UNMAPPED = "hijack to a mapped room", "hijack to the unmapped room"
 PLANS = (THROUGH, MAPPED, UNMAPPED)
+TWIN_PLANS = ("hijack to a twin", "hijack to its twin", "hijack to a twin again", "hijack to its twin again")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,6 +102,46 @@ def plan_drive(world: World, left_out: str, name: str, seed: int) -> Plan:
     then = plan_route(world, "second", seed + 1, start=target[:2])
     hijack = Hijack(at_s, target, to_unmapped, float(rng.uniform(0.3, 1.0)), float(rng.uniform(3, 6)), then)
     return Plan(name, route, hijack, at_s + 28.0)
+
+
+def twin_rooms(world: World) -> tuple[int, int] | None:
+    """Numbers of the two rooms of one use and shape; None in a world without."""
+    number = {room.name: k for k, room in enumerate(world.rooms)}
+    for name, second in number.items():
+        first = number.get(name.removesuffix(" 2"), second)
+        if first != second and np.allclose(_size(world, first), _size(world, second)):
+            return first, second
+    return None
+
+
+def _size(world: World, k: int) -> tuple[float, float]:
+    room = world.rooms[k]
+    return room.x1_m - room.x0_m, room.y1_m - room.y0_m
+
+
+def spot_in_twin(world: World, p_world: FloatArray) -> FloatArray | None:
+    """Where (3,) in the twin of its room a position (3,) is; None outside of twin rooms."""
+    twins = twin_rooms(world)
+    if twins is None:
+        return None
+    a, b = (world.rooms[k] for k in twins)
+    step = np.array([b.x0_m - a.x0_m, b.y0_m - a.y0_m, 0.0])
+    return {a.name: p_world + step, b.name: p_world - step}.get(world.room_at(*p_world[:2]))
+
+
+def plan_twin_drive(world: World, name: str, seed: int) -> Plan:
+    """A drive through a flat whose every room is mapped; on it the robot is put down in one of two twin rooms."""
+    number = TWIN_PLANS.index(name)
+    twins = twin_rooms(world)
+    if twins is None:
+        raise ConfigError(f"world {world.name} with seed {world.seed} has no twin rooms")
+    rng = np.random.default_rng([world.seed, seed, number, 73])
+    start = _spot(world, _mapped(world, ""), seed)[:2]
+    target = _spot(world, [world.rooms[twins[number % 2]].name], seed + 1)
+    at_s = float(rng.uniform(8, 12))
+    then = plan_route(world, "second", seed + 1, start=target[:2])
+    hijack = Hijack(at_s, target, False, float(rng.uniform(0.3, 1.0)), float(rng.uniform(3, 6)), then)
+    return Plan(name, plan_route(world, "second", seed, start=start), hijack, at_s + 28.0)
 
 
 def _only(world: World, rooms: set[str]) -> World:

@@ -1,4 +1,7 @@
-"""Makes the recorded drives of one simulated flat: a map by SLAM without one room, then drives that are localised."""
+"""Makes the recorded drives of one simulated flat: a map by SLAM without one room, then drives that are localised.
+
+Of a flat with twin rooms the map may have all rooms; the robot is then put down in either twin.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from robot.simulation.world import World
 from robot.simulation.worlds import make_world
 from shared.calibration import Calibration
 from shared.errors import EstimationError
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, se3
 from station.experiments.alignment import align_points
 from station.experiments.trajectory_error import interpolate_poses
 from station.model.calibration_fit import CalibrationFit
@@ -44,11 +47,14 @@ from tests.support.drives.recorded import (
 from tests.support.drives.robot import Sent, SimulatedRobot
 from tests.support.drives.routes import (
     PLANS,
+    TWIN_PLANS,
     Plan,
     beyond_door_m,
     mapping_route,
     plan_drive,
+    plan_twin_drive,
     room_left_out,
+    spot_in_twin,
 )
 
 MAX_MAPPING_S = 240.0
@@ -64,6 +70,8 @@ class DriveOptions:
     with_slam: bool = False  # a navigation is recorded meanwhile: SLAM gives odometry and a fit; needs all its frames
     max_seconds: float = MAX_MAPPING_S  # of the mapping drive
     looks_around: bool = True  # the driver who maps turns once round in every room, as the page asks
+    maps_all: bool = False  # no room is left out; drives are `TWIN_PLANS` then
+    identical_twins: bool = False  # nothing within twin rooms tells them apart
 
 
 def make_drives(kind: str, seed: int, misfit: Misfit, options: DriveOptions) -> RecordedWorld:
@@ -71,9 +79,20 @@ def make_drives(kind: str, seed: int, misfit: Misfit, options: DriveOptions) -> 
     spent = Spent()
     with spent.on("world"):
         flat = SimulatedFlat(kind, seed, misfit, options)
-        left_out = room_left_out(flat.world)
+        left_out = "" if options.maps_all else room_left_out(flat.world)
     empty = RecordedWorld(
-        kind, str(seed), misfit.name, left_out, None, "", None, None, (), spent.cpu_s, options.looks_around
+        kind,
+        str(seed),
+        misfit.name,
+        left_out,
+        None,
+        "",
+        None,
+        None,
+        (),
+        spent.cpu_s,
+        options.looks_around,
+        options.identical_twins,
     )
     with spent.on("mapping"):
         try:
@@ -83,8 +102,11 @@ def make_drives(kind: str, seed: int, misfit: Misfit, options: DriveOptions) -> 
     with spent.on("index"):
         localizer = Localizer([mapped.place_map])
     drives = []
-    for number, name in enumerate(options.plans):
-        plan = plan_drive(flat.world, left_out, name, seed + number)
+    for number, name in enumerate(TWIN_PLANS if options.maps_all else options.plans):
+        if options.maps_all:
+            plan = plan_twin_drive(flat.world, name, seed + number)
+        else:
+            plan = plan_drive(flat.world, left_out, name, seed + number)
         with spent.on(name):
             drives.append(flat.drive(plan, seed + 1 + number, localizer, mapped.quality.T_world_map, left_out))
     return replace(empty, place_map=mapped.place_map, quality=mapped.quality, truth=mapped.truth, drives=tuple(drives))
@@ -101,7 +123,8 @@ class SimulatedFlat:
     """A world with the robot that drives in it."""
 
     def __init__(self, kind: str, seed: int, misfit: Misfit, options: DriveOptions) -> None:
-        config = misfit.built(SimulationConfig(camera_rate_hz=options.mapping_rate_hz))
+        asked = SimulationConfig(camera_rate_hz=options.mapping_rate_hz, identical_twins=options.identical_twins)
+        config = misfit.built(asked)
         self.told = simulated_calibration(config)
         assert self.told.camera is not None
         camera = built_camera(self.told.camera, config.build)
@@ -145,9 +168,15 @@ class SimulatedFlat:
                 beyond_m = beyond_door_m(self.world, left_out, T[:3, 3])
                 attempt = localizer.attempt(item, self.told, slam.fit if slam else None)
                 T_map_body = in_map(T_world_map, T)
-                events.append(LookedAt(item.t_robot_ns, attempt, T_map_body, beyond_m, is_carried))
+                T_map_twin = self._in_twin(T, T_world_map)
+                events.append(LookedAt(item.t_robot_ns, attempt, T_map_body, beyond_m, is_carried, T_map_twin))
         seconds = (robot.truth.t_robot_ns[-1] - robot.truth.t_robot_ns[0]) / 1e9
         return RecordedDrive(plan.name, self.told, tuple(events), robot.hijack, float(seconds))
+
+    def _in_twin(self, T_world_body: FloatArray, T_world_map: FloatArray) -> FloatArray | None:
+        """T_map_body (4, 4) of a robot at the same spot of its room's twin."""
+        spot = spot_in_twin(self.world, T_world_body[:3, 3])
+        return None if spot is None else in_map(T_world_map, se3(T_world_body[:3, :3], spot))
 
 
 class RunningSlam:

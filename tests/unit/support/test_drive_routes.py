@@ -14,12 +14,16 @@ from tests.support.drives.misfit import Misfit
 from tests.support.drives.routes import (
     PLANS,
     THROUGH,
+    TWIN_PLANS,
     UNMAPPED,
     Plan,
     beyond_door_m,
     mapping_route,
     plan_drive,
+    plan_twin_drive,
     room_left_out,
+    spot_in_twin,
+    twin_rooms,
 )
 from tests.support.drives.simulated import DriveOptions, SimulatedFlat
 
@@ -77,3 +81,33 @@ def test_the_way_beyond_a_door_is_measured_in_the_room_left_out_only() -> None:
     for other in world.rooms:
         beyond_m = beyond_door_m(world, left_out, np.array([*other.centre, 0.25]))
         assert (beyond_m > 0.5) if other is room else beyond_m == 0.0
+
+
+@pytest.mark.parametrize("name", TWIN_PLANS)
+def test_where_no_room_is_left_out_the_robot_is_put_down_in_either_twin(name: str) -> None:
+    world = make_world("lookalike", 2)
+    twins = twin_rooms(world)
+    assert twins is not None
+    plan = plan_twin_drive(world, name, 5)
+    assert plan.hijack is not None
+    put_down_in = world.room_at(*plan.hijack.target[:2])
+    assert put_down_in == world.rooms[twins[TWIN_PLANS.index(name) % 2]].name
+    assert rooms_on(mapping_route(world, "", 2).points, "lookalike", 2) == {r.name for r in world.rooms}
+
+
+def test_a_spot_in_one_twin_is_the_same_spot_of_the_other() -> None:
+    world = make_world("lookalike", 2)
+    twins = twin_rooms(world)
+    assert twins is not None
+    first, second = (world.rooms[k] for k in twins)
+    spot = np.array([*first.centre, 0.1])
+    other = spot_in_twin(world, spot)
+    assert other is not None and world.room_at(*other[:2]) == second.name
+    back = spot_in_twin(world, other)
+    assert back is not None
+    np.testing.assert_allclose(back, spot)
+    assert spot_in_twin(world, np.array([*world.rooms[0].centre, 0.1])) is None
+
+
+def test_a_world_whose_rooms_differ_has_no_twins() -> None:
+    assert twin_rooms(make_world("home", 3)) is None

@@ -292,6 +292,8 @@ export interface CurrentPlace {
   room: RoomProbability | null;
   /** what else it may be, the likeliest first */
   room_alternatives: RoomProbability[];
+  /** while `room` is null, the two it is surely one of, such as rooms that look alike; else empty */
+  one_of_two: RoomProbability[];
   /** id of the door of GET /floorplan in which the robot is: both of its rooms are right then */
   doorway: string | null;
   evidence: Evidence;

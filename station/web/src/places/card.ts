@@ -66,7 +66,7 @@ export class PlaceView {
     card.dataset.room = String(place.room !== null);
     const at = by("place-at");
     show(at, room !== null);
-    setText(at, place.place ? `${placeInWords(place, place.place.name)}, ${percent(place.probability)}` : otherwise);
+    setText(at, placeOrRooms(place) ?? otherwise);
     const shown = place.room?.probability ?? (place.place ? place.probability : place.preparing);
     setText(by("place-probability"), shown === null ? "" : percent(shown));
     setText(
@@ -77,7 +77,9 @@ export class PlaceView {
           ? `${room === null ? "Current place" : "Current room and place"} · ${place.distance_m.toFixed(1)} m away`
           : room === null
             ? "Current place"
-            : "Current room",
+            : place.room === null
+              ? "One of two rooms"
+              : "Current room",
     );
     setText(by("place-reason"), place.reason);
     by("place-reason").title = place.reason;
@@ -127,13 +129,17 @@ export class PlaceView {
   }
 }
 
-const HARDLY = 0.2; // what is less probable is no alternative worth a large letter
-
 /** The room in large letters: one, both of a doorway, or which two it may be; null: nothing is known of it. */
-function roomInWords({ room, room_alternatives: others, doorway }: CurrentPlace): string | null {
+function roomInWords({ room, room_alternatives: others, one_of_two: two, doorway }: CurrentPlace): string | null {
   if (room) return doorway !== null && others[0] ? `${room.name} / ${others[0].name}` : room.name;
-  const likely = others.filter((other) => other.probability >= HARDLY);
-  return likely.length === 2 ? `${likely.map((other) => other.name).join(" or ")}?` : null;
+  return two.length ? two.map((one) => one.name).join(" or ") : null;
+}
+
+/** Below the room: the place, or how probable each of two rooms is; null: neither is known. */
+function placeOrRooms(current: CurrentPlace): string | null {
+  const { place, probability, one_of_two: two } = current;
+  if (place) return `${placeInWords(current, place.name)}, ${percent(probability)}`;
+  return two.length ? two.map((one) => `${one.name} ${percent(one.probability)}`).join(", ") : null;
 }
 
 /** The nearest place; "near" it where the robot is in another room than the one that it is called after. */

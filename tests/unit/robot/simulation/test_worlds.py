@@ -8,6 +8,7 @@ from robot.simulation.config import SimulationConfig
 from robot.simulation.world import World
 from robot.simulation.worlds import WORLD_NAMES, make_world
 from shared.errors import ConfigError
+from tests.support.drives.routes import twin_rooms
 
 HUNG = 550.0  # texels per m of pictures on walls; those built into desks have fewer
 
@@ -18,6 +19,16 @@ def pictures(world: World, room: int) -> set[object]:
         for s in world.surfaces
         if s.room == room and s.texture.kind == "poster" and s.texture.texels_per_m == HUNG
     }
+
+
+def looks(world: World, room: int) -> list[tuple[object, ...]]:
+    """Look and place, relative to the room's corner, of everything in a room."""
+    corner = np.array([world.rooms[room].x0_m, world.rooms[room].y0_m, 0.0])
+    return sorted(
+        (repr(s.texture), *np.round(np.array(s.origin) - corner, 5).tolist(), *np.round(s.eu, 5).tolist())
+        for s in world.surfaces
+        if s.room == room
+    )
 
 
 def furniture(world: World, room: int) -> list[tuple[str, float, float]]:
@@ -54,6 +65,17 @@ def test_lookalike_rooms_differ_only_in_their_pictures() -> None:
         assert world.rooms[2].name == world.rooms[1].name + " 2"
         assert furniture(world, 1) == furniture(world, 2)
         assert not pictures(world, 1) & pictures(world, 2)
+
+
+@pytest.mark.parametrize("name", ["lookalike", "plain"])
+def test_within_identical_twins_nothing_tells_them_apart(name: str) -> None:
+    config = SimulationConfig(lookalike_rooms=True, identical_twins=True)
+    for seed in range(5):
+        world = make_world(name, seed, config)
+        twins = twin_rooms(world)
+        assert twins is not None
+        first, second = (looks(world, k) for k in twins)
+        assert first == second
 
 
 def test_moved_chairs_move_and_nothing_else_does() -> None:
