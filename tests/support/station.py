@@ -31,6 +31,7 @@ from tests.support.link import Bench, until
 from tests.support.made_up_workers import PlaceByLight, made_up_navigation
 from tests.support.plans import two_rooms
 
+STRAIGHT_SLAM = "tests.support.made_up_workers:StraightSlam"
 FRAME_S = 0.05
 DRAWN = np.array([[2.0, -1.0], [2.0, 5.0]])  # right across the made-up room
 
@@ -118,7 +119,7 @@ async def running_station(
     robot_port: int | tuple[int, ...],
     data_dir: Path,
     *,
-    backend: str = "tests.support.made_up_workers:StraightSlam",
+    backend: str = STRAIGHT_SLAM,
     verify: ssl.SSLContext | None = None,
 ) -> AsyncIterator[Desk]:
     """Serve a station that looks for its robot(s) at this port; with `verify` by TLS, and with access control."""

@@ -16,17 +16,17 @@ from station.files.navigation_folder import save_navigation
 from station.library.navigation_records import NavigationLibrary, NavigationRecord
 from tests.support.link import Bench, running_robot, until
 from tests.support.made_up_workers import made_up_navigation
-from tests.support.station import Desk, Film, running_station
+from tests.support.station import STRAIGHT_SLAM, Desk, Film, running_station
 
 
 @asynccontextmanager
 async def at_work(
-    tmp_path: Path, calibration: Calibration = REFERENCE_ROBOT, **options: str
+    tmp_path: Path, calibration: Calibration = REFERENCE_ROBOT, backend: str = STRAIGHT_SLAM
 ) -> AsyncIterator[tuple[Desk, Bench, Film]]:
     """A robot that films, and a station that is connected to it."""
     async with (
         running_robot(calibration=calibration) as bench,
-        running_station(bench.port, tmp_path, **options) as desk,
+        running_station(bench.port, tmp_path, backend=backend) as desk,
     ):
         film = Film(bench)
         filming = asyncio.create_task(film.run())
