@@ -10,7 +10,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import websockets
 
@@ -41,7 +41,7 @@ from shared.token_book import TokenBook
 from station.access.connecting import Connection, connect_by_tls
 from station.access.paired_robots import PairedRobot, PairedRobots
 from station.robots.link import RobotLink
-from tests.support.link import Bench, HearingDesk, Notes
+from tests.support.link import Bench, HearingDesk, Notes, ServerOptions
 from tests.support.station import Desk, running_station
 
 JOIN = Join(protocol=PROTOCOL_VERSION, station_name="desk", knows_calibration_changed=True)
@@ -58,7 +58,7 @@ def set_up(folder: Path) -> Path:
 class GuardedBench(Bench):
     """A robot-server with fake devices and access control."""
 
-    def __init__(self, folder: Path, **server: int) -> None:
+    def __init__(self, folder: Path, **server: Unpack[ServerOptions]) -> None:
         super().__init__(1.0, **server)
         self.folder = folder
 
@@ -92,7 +92,7 @@ class GuardedBench(Bench):
 
 
 @asynccontextmanager
-async def guarded_robot(folder: Path, **server: int) -> AsyncIterator[GuardedBench]:
+async def guarded_robot(folder: Path, **server: Unpack[ServerOptions]) -> AsyncIterator[GuardedBench]:
     bench = GuardedBench(set_up(folder), **server)
     await bench.start()
     try:

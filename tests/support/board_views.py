@@ -21,7 +21,8 @@ Shape = Callable[[FloatArray], FloatArray]  # corners of the target (n, 3) to wh
 
 def facing(target: Target, tilt: FloatArray, distance_m: float, shift: FloatArray) -> FloatArray:
     """T_cam_board (4, 4) of a board turned by a rotation vector about its middle, shifted by parts of its distance."""
-    R = cv2.Rodrigues(np.asarray(tilt, dtype=np.float64))[0] @ np.diag([1.0, -1.0, -1.0])
+    turned = np.asarray(cv2.Rodrigues(np.asarray(tilt, dtype=np.float64))[0], dtype=np.float64)
+    R = turned @ np.diag([1.0, -1.0, -1.0])
     middle = target.corners.mean(axis=0)
     return se3(R, distance_m * np.array([*shift, 1.0]) - R @ middle)
 

@@ -23,7 +23,9 @@ def coloured_picture(colour: Colour) -> bytes:
 
 def coloured_rooms(living_room: list[list[Colour]], other: list[list[Colour]]) -> PlaceMap:
     """A list of views for each place of the living room and of "Room 2". Each view shows one landmark of its place."""
-    pictures, poses, places, p_world, seen = [], [], [], [], []
+    pictures: list[bytes] = []
+    places: list[Place] = []
+    poses, p_world, seen = [], [], []
     room_of_place = {}
     for room, x, of_room in (("room-l", 0.0, living_room), ("room-k", 4.0, other)):
         for views in of_room:

@@ -123,7 +123,11 @@ def _fit(rows: list[Row], losses_of: LossesOf, count: int) -> Fit:
 
 def failing(rows: list[Row], with_view: bool) -> FloatArray:
     """Rows of figures, as `FailureOdds` weighs them."""
-    columns = [np.ones(len(rows)), np.log1p([r["features"] for r in rows]), [r["failed_before"] for r in rows]]
+    columns = [
+        np.ones(len(rows)),
+        np.log1p([r["features"] for r in rows]),
+        np.array([r["failed_before"] for r in rows], dtype=np.float64),
+    ]
     if with_view:
         columns.append(np.log([r["in_view"] + LITTLE for r in rows]))
     return np.column_stack(columns)

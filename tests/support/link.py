@@ -7,6 +7,7 @@ import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
+from typing import TypedDict, Unpack
 
 from robot.commands import CommandDesk
 from robot.config import RobotConfig, ServerConfig
@@ -157,10 +158,23 @@ class HearingDesk(CommandDesk):
         return super().handle(client, message, now_ns, is_datagram=is_datagram)
 
 
+class ServerOptions(TypedDict, total=False):
+    """What a test sets of a bench's ServerConfig."""
+
+    max_stations: int
+    max_waiting: int
+    imu_backlog_samples: int
+
+
 class Bench:
     """One robot-server with fake devices."""
 
-    def __init__(self, clock_rate: float = 1.0, calibration: Calibration = REFERENCE_ROBOT, **server: int) -> None:
+    def __init__(
+        self,
+        clock_rate: float = 1.0,
+        calibration: Calibration = REFERENCE_ROBOT,
+        **server: Unpack[ServerOptions],
+    ) -> None:
         self._clock_rate = clock_rate
         self.camera, self.imu, self.motors, self.head = FakeCamera(), FakeImu(), FakeMotors(), FakeHead()
         self.calibration = calibration
@@ -214,7 +228,7 @@ class Bench:
 
 @asynccontextmanager
 async def running_robot(
-    clock_rate: float = 1.0, calibration: Calibration = REFERENCE_ROBOT, **server: int
+    clock_rate: float = 1.0, calibration: Calibration = REFERENCE_ROBOT, **server: Unpack[ServerOptions]
 ) -> AsyncIterator[Bench]:
     bench = Bench(clock_rate, calibration, **server)
     await bench.start()

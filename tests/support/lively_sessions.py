@@ -83,7 +83,7 @@ def make_lively_session(
     for reading, density, bias in ((gyro, noise.gyro_density, 0.01), (accel, noise.accel_density, 0.05)):
         if not is_exact:
             reading += rng.normal(0.0, density * np.sqrt(IMU_RATE_HZ), reading.shape) + rng.normal(0.0, bias, 3)
-    points = rng.uniform(*ROOM_M, (num_points, 3))
+    points = rng.uniform(ROOM_M[0], ROOM_M[1], (num_points, 3))
     times = np.arange(0.0, duration_s, 1 / images_per_s) - camera.time_shift_s
     times = times[(times > 0.0) & (times < duration_s)]
     seen, of_point = _sightings(rng, times, camera, motion, points, 0.0 if is_exact else 0.2)

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.errors import Unsatisfiable
 from schemathesis.checks import not_a_server_error
 from schemathesis.core.failures import FailureGroup
+from schemathesis.core.result import Err
 from schemathesis.specs.openapi.checks import (
     content_type_conformance,
     negative_data_rejection,
@@ -72,7 +73,8 @@ def furnish(data_dir: Path) -> tuple[PlaceMap, dict[str, list[Any]]]:
     comparison_id, folder = comparisons.prepare()
     (folder / "report.html").write_text("<!doctype html><title>Report</title>")
     (folder / "results.json").write_text("{}")
-    comparisons.store(Comparison(comparison_id, "One", *drives, 1.0, 3, 3, 2, True, (), None), folder)
+    first, second = drives
+    comparisons.store(Comparison(comparison_id, "One", first, second, 1.0, 3, 3, 2, True, (), None), folder)
     places = [place.id for place in place_map.places]
     assert place_map.plan is not None
     rooms = [room.id for room in place_map.plan.rooms]
@@ -90,7 +92,11 @@ def ask_everything(address: str, known: dict[str, list[Any]], examples: int, see
     """Ask every documented call: up to `examples` times each with right and with wrong values."""
     document = schemathesis.openapi.from_url(f"{address}/openapi.json", timeout=60)
     asked = Asked()
-    operations = [found.ok() for found in document.get_all_operations()]
+    operations = []
+    for found in document.get_all_operations():
+        if isinstance(found, Err):
+            raise found.err()
+        operations.append(found.ok())
     for operation in sorted(operations, key=_when):
         if operation.path not in ENDLESS:
             for mode in (RIGHT, WRONG):
@@ -110,7 +116,7 @@ def _when(operation: Any) -> int:
 def _ask(operation: Any, mode: Any, known: dict[str, list[Any]], examples: int, seed: int | None, asked: Asked) -> None:
     call = f"{operation.method.upper()} {operation.path}"
 
-    def ask(case: schemathesis.Case, data: st.DataObject) -> None:
+    def ask(case: schemathesis.Case[Any], data: st.DataObject) -> None:
         if mode is RIGHT:  # made-up names alone would only ever find nothing
             is_first = not asked.statuses[call]
             for values in (case.path_parameters, case.query, case.body):

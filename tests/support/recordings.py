@@ -23,6 +23,7 @@ from shared.messages import (
     ImuSample,
     Status,
 )
+from station.model.frames import decode_picture
 from station.recordings.recorder import Recorder, RecordingReport
 from tests.support.made_up_workers import made_up_navigation
 
@@ -137,8 +138,8 @@ def record_made_up_room(path: Path, frames: int = 12, brightness: int = 0) -> Pa
     for number in range(frames):
         t_ns = 10**9 + number * 250_000_000
         samples = tuple(ImuSample(t_ns + n * 10_000_000, (0.0, 0.0, 0.01 * n), (0.0, 0.0, 9.81)) for n in range(25))
-        picture = cv2.imdecode(np.frombuffer(navigation.keyframes.encoded[number], np.uint8), cv2.IMREAD_COLOR)
-        encoded = cv2.imencode(".jpg", cv2.add(picture, brightness))[1].tobytes()
+        picture = decode_picture(navigation.keyframes.encoded[number], cv2.IMREAD_COLOR)
+        encoded = cv2.imencode(".jpg", cv2.add(picture, np.full_like(picture, brightness)))[1].tobytes()
         height, width = picture.shape[:2]
         recorder.on_imu(ImuBatch(first_sequence=number * 25, samples=samples))
         recorder.on_drive_applied(DriveApplied(t_robot_ns=t_ns, linear=0.1 * (number % 3), angular=0.0))

@@ -32,6 +32,7 @@ from tests.support.link import Bench, until
 from tests.support.made_up_workers import PlaceByLight, made_up_navigation
 from tests.support.plans import two_rooms
 
+STRAIGHT_SLAM = "tests.support.made_up_workers:StraightSlam"
 FRAME_S = 0.05
 DRAWN = np.array([[2.0, -1.0], [2.0, 5.0]])  # right across the made-up room
 
@@ -119,7 +120,7 @@ async def running_station(
     robot_port: int | tuple[int, ...],
     data_dir: Path,
     *,
-    backend: str = "tests.support.made_up_workers:StraightSlam",
+    backend: str = STRAIGHT_SLAM,
     verify: ssl.SSLContext | None = None,
     place_program: type[PlaceProgram] = PlaceByLight,
 ) -> AsyncIterator[Desk]:

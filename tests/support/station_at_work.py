@@ -17,7 +17,7 @@ from station.library.navigation_records import NavigationLibrary, NavigationReco
 from station.workers.place_interface import PlaceProgram
 from tests.support.link import Bench, running_robot, until
 from tests.support.made_up_workers import PlaceByLight, made_up_navigation
-from tests.support.station import Desk, Film, running_station
+from tests.support.station import STRAIGHT_SLAM, Desk, Film, running_station
 
 
 @asynccontextmanager
@@ -25,12 +25,12 @@ async def at_work(
     tmp_path: Path,
     calibration: Calibration = REFERENCE_ROBOT,
     place_program: type[PlaceProgram] = PlaceByLight,
-    **options: str,
+    backend: str = STRAIGHT_SLAM,
 ) -> AsyncIterator[tuple[Desk, Bench, Film]]:
     """A robot that films, and a station that is connected to it."""
     async with (
         running_robot(calibration=calibration) as bench,
-        running_station(bench.port, tmp_path, place_program=place_program, **options) as desk,
+        running_station(bench.port, tmp_path, place_program=place_program, backend=backend) as desk,
     ):
         film = Film(bench)
         filming = asyncio.create_task(film.run())

@@ -5,11 +5,11 @@ from __future__ import annotations
 import cv2
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
 from shared.calibration import REFERENCE_ROBOT, Calibration
 from shared.geometry import FloatArray, se3
 from shared.room_sticker import CODE_SIDE_M, sticker_modules
-from station.model.frames import ImageArray
 from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
 from station.model.place_map import PlaceMap
 
@@ -24,15 +24,14 @@ def pinhole() -> Calibration:
     return msgspec.structs.replace(REFERENCE_ROBOT, camera=camera)
 
 
-def code_picture(modules: ImageArray, distance_m: float) -> bytes:
+def code_picture(modules: npt.NDArray[np.bool_], distance_m: float) -> bytes:
     """A JPEG of a code (n, n; True is black) in the middle of a grey wall."""
     side = round(FOCAL_PX * CODE_SIDE_M / distance_m)
     code = np.where(modules, 20, 230).astype(np.uint8)
-    code = cv2.resize(code, (8 * side, 8 * side), interpolation=cv2.INTER_NEAREST)
-    code = cv2.resize(code, (side, side), interpolation=cv2.INTER_AREA)
+    fine = cv2.resize(code, (8 * side, 8 * side), interpolation=cv2.INTER_NEAREST)
     picture = np.full((HEIGHT, WIDTH), 190, np.uint8)
     x, y = (WIDTH - side) // 2, (HEIGHT - side) // 2
-    picture[y : y + side, x : x + side] = code
+    picture[y : y + side, x : x + side] = cv2.resize(fine, (side, side), interpolation=cv2.INTER_AREA)
     return bytes(cv2.imencode(".jpg", cv2.GaussianBlur(picture, (3, 3), 0.6))[1])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -49,7 +50,11 @@ def furnished_room(seed: int, *, pieces: int = 7, size: tuple[float, float] = (5
 def _on_wall(along: float, size: tuple[float, float], inset: float) -> FloatArray:
     w, h = size
     along %= 2 * (w + h)
-    sides = [(w, lambda s: (s, inset)), (h, lambda s: (w - inset, s)), (w, lambda s: (w - s, h - inset))]
+    sides: list[tuple[float, Callable[[float], tuple[float, float]]]] = [
+        (w, lambda s: (s, inset)),
+        (h, lambda s: (w - inset, s)),
+        (w, lambda s: (w - s, h - inset)),
+    ]
     for length, place in sides:
         if along < length:
             return np.array(place(along), dtype=np.float64)

@@ -79,7 +79,7 @@ def photograph(
     at = np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=2) @ H.T
     xy = (at[..., :2] / at[..., 2:]).astype(np.float32)
     fine = cv2.GaussianBlur(page.image, (0, 0), 0.8)
-    seen = cv2.remap(fine, xy, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=wall)
+    seen = cv2.remap(fine, xy[..., 0], xy[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=wall)
     seen[at[..., 2] * np.sign(at[camera.height, camera.width, 2]) <= 0] = wall
     small = cv2.resize(seen, (camera.width, camera.height), interpolation=cv2.INTER_AREA).astype(np.float64)
     blurred = cv2.GaussianBlur(small, (0, 0), blur_px) if blur_px > 0 else small

@@ -68,7 +68,8 @@ def make_map(map_id: str, seed: int) -> PlaceMap:
     poses = np.stack([camera_at(x) for x in np.linspace(-1.5, 1.5, 7)])
     encoded = tuple(picture(seed, T) for T in poses)
     extractor = FeatureExtractor(400)
-    p_all, landmark, keyframe, uv = [], [], [], []
+    p_all: list[FloatArray] = []
+    landmark, keyframe, uv = [], [], []
     numbers: dict[tuple[int, int], int] = {}
     for k, T in enumerate(poses):
         grey = ImageFrame(0, 0, 0, encoded[k]).grey()

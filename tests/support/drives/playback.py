@@ -45,7 +45,8 @@ def play_back(place_map: PlaceMap, drive: RecordedDrive, make_tracker: MakeTrack
     tracker = make_tracker([place_map], drive.calibration, PlayedBackLocalizer([place_map], drive.images))
     camera = drive.calibration.camera
     shift_ns = round(1e9 * camera.time_shift_s) if camera else 0
-    answers, hijacks = [], []
+    answers: list[tuple[LookedAt, PlaceAnswer]] = []
+    hijacks: list[HijackEvent] = []
     for event in drive.events:
         if isinstance(event, ImuBatch):
             tracker.on_imu(event)

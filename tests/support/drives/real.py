@@ -21,9 +21,9 @@ from robot.simulation.worlds import make_world
 from shared.errors import EstimationError
 from shared.geometry import FloatArray
 from station.datasets import Dataset, Truth, open_dataset
-from station.experiments.trajectory_error import interpolate_poses
 from station.model.frames import DepthFrame, DriveSample, ImuBatch
 from station.model.navigation import Trajectory
+from station.motion.interpolation import interpolate_poses
 from station.places.localisation.localizer import Localizer
 from station.places.making.build import build_map
 from station.workers.replay import ReplayOptions, follow, has_live_poses, live_backend

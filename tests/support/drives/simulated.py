@@ -24,12 +24,12 @@ from shared.calibration import Calibration
 from shared.errors import EstimationError
 from shared.geometry import FloatArray, se3
 from station.experiments.alignment import align_points
-from station.experiments.trajectory_error import interpolate_poses
 from station.model.calibration_fit import CalibrationFit
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.navigation import Navigation, Trajectory
 from station.model.place_map import PlaceMap
 from station.model.slam_update import SlamUpdate
+from station.motion.interpolation import interpolate_poses
 from station.places.localisation.localizer import Localizer
 from station.places.making.build import build_map
 from station.workers.slam import NavigationSlam

@@ -61,7 +61,7 @@ def _on_one_board(name: str, count: int, rng: random.Random, beside: Sequence[tu
     return [_judge(name, at * 1e6, moves) for at in faults]
 
 
-def _judge(name: str, fault_us: float, moves: list[tuple[float, bool]]) -> Judged:
+def _judge(name: str, fault_us: float, moves: Sequence[tuple[float, bool]]) -> Judged:
     """`moves`: whenever the pins changed, whether they move anything from then on."""
     before = [moving for t, moving in moves if t <= fault_us]
     if not before or not before[-1]:

@@ -137,7 +137,7 @@ def listen(loop: asyncio.AbstractEventLoop, log: Log, count: Callable[[], int]) 
 def open_devices(options: argparse.Namespace, log: Log) -> DeviceSet:
     """The real robot's, behind a line that is logged."""
     config = PiConfig(serial_port=options.serial, rate_hz=options.rate_hz, camera=not options.ready_frames)
-    adapter.PySerialLine = lambda path: LoggedLine(PySerialLine(path), log)
+    adapter.__dict__["PySerialLine"] = lambda path: LoggedLine(PySerialLine(path), log)
     pi_stubs.install()
     sys.modules["picamera2"].__dict__["Picamera2"] = HoldingPicamera2
     HoldingPicamera2.log = log

@@ -7,11 +7,11 @@ from shared.errors import DegenerateGeometry
 from shared.geometry import FloatArray, quat_from_rotation, se3, so3_exp, transform, yaw_rotation
 from station.experiments.trajectory_error import (
     absolute_trajectory_error,
-    interpolate_poses,
     path_length,
     relative_pose_error,
 )
 from station.model.navigation import Trajectory
+from station.motion.interpolation import interpolate_poses
 
 
 def wander(seed: int, count: int = 60) -> FloatArray:
