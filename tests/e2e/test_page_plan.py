@@ -6,7 +6,7 @@ import json
 import re
 
 import pytest
-from playwright.async_api import WebSocketRoute, expect
+from playwright.async_api import Route, WebSocketRoute, expect
 
 from tests.e2e.conftest import Room
 from tests.support.station import store_planned_map
@@ -20,6 +20,16 @@ async def test_a_room_is_named_by_clicking_into_it_and_by_a_suggestion(room: Roo
     await room.desk.http.put("/maps/active", json={"id": planned.id})
     await expect(page.locator("[data-layer=plan]")).to_have_attribute("aria-pressed", "true")
     await expect(page.locator(".plan-room")).to_have_count(2)
+
+    async def answer_when_the_plan_is_drawn_anew(route: Route) -> None:
+        if route.request.method == "PATCH":
+            answer = await route.fetch()
+            await expect(page.locator(".plan-names text[data-room=room-l]")).to_have_text("Lounge")
+            await route.fulfill(response=answer)
+        else:
+            await route.continue_()
+
+    await page.route(re.compile("/rooms/room-l$"), answer_when_the_plan_is_drawn_anew)
     await page.locator(".plan-room[data-room=room-l]").press("Enter")
     await page.locator("#room-name").fill("Lounge")
     await page.keyboard.press("Enter")

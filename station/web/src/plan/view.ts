@@ -1,6 +1,6 @@
 // The floor plan of the map in use: what one looks at first, with the robot in it.
 import { call } from "../link/api";
-import type { CurrentPlace, DoorModel, FloorPlanModel, PlaceModel } from "../link/messages";
+import type { CurrentPlace, DoorModel, FloorPlanModel, PlaceModel, PlanRoom } from "../link/messages";
 import { Refresh } from "../link/refresh";
 import { undoable } from "../places/changes";
 import { by, make, setText, show } from "../ui/dom";
@@ -139,7 +139,7 @@ export class PlanView {
     if (!plan) return;
     const { room, door, dot } = part.dataset;
     const named = plan.rooms.find(({ id }) => id === room);
-    if (named) attempt(() => openRoom(named, plan));
+    if (named) attempt(() => this.openRoom(named, plan));
     if (dot !== undefined) attempt(() => this.openPlace(dot));
     const pressed = plan.doors.find(({ id }) => id === door);
     if (pressed) this.askDoor(pressed);
@@ -159,6 +159,14 @@ export class PlanView {
     this.card.style.left = `${Math.min(Math.max(x, 90), width - 90)}px`;
     this.card.style.top = `${y}px`;
     this.card.classList.toggle("below", y < height / 2);
+  }
+
+  /** Afterwards the room has the keyboard's focus: by then the plan may be drawn anew, with other elements. */
+  private openRoom(room: PlanRoom, plan: FloorPlanModel): Promise<void> {
+    const focus = () =>
+      this.svg.querySelector<SVGElement>(`[role=button]${withData("room", room.id)}`)?.focus({ preventScroll: true });
+    by("room-dialog").addEventListener("close", focus, { once: true });
+    return openRoom(room, plan);
   }
 
   private async openPlace(id: string): Promise<void> {
