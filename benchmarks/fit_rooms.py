@@ -208,10 +208,9 @@ def worth(rectangles: Sequence[Rectangle], sides: Sides, model: WallModel) -> Fl
             plane, pieces = r.plane(side), r.pieces(side[0])
             is_wall = sides.is_wall[side][plane, pieces]
             total[0] += sides.odds[side][plane, pieces][is_wall].sum()
-            doors = sides.door[side[0]][plane]
             for begin, end in gaps_of(sides.is_wall[side][plane]):  # those at the ends count in part
                 part = max(min(end, pieces.stop) - max(begin, pieces.start), 0) / (end - begin)
-                cost = gap_costs(np.array([begin]), np.array([end]), doors[None], model)[0]
+                cost = gap_costs(np.array([plane]), np.array([begin]), np.array([end]), sides.doors[side[0]], model)[0]
                 is_door = cost != model.gap + model.gap_piece * (end - begin)
                 total[1:4] += part * np.array([is_door, not is_door, 0 if is_door else end - begin])
                 total[6] += part * (model.door - cost) / model.frame_weight if is_door else 0.0

@@ -20,7 +20,7 @@ from station.config import check_backend, load_config
 from station.datasets import Dataset, open_dataset
 from station.experiments.answer_figures import CALIBRATION, OVER_TIME, draw_answers
 from station.experiments.answers import JudgedAnswers, frame_of_map, judge_recorded
-from station.model.place_answer import HijackEvent, PlaceAnswer, one_of_two
+from station.model.place_answer import HijackEvent, PlaceAnswer
 from station.model.place_map import PlaceMap
 from station.places.making.changes import without_hidden
 from station.workers.replay import ReplayOptions, has_live_poses, locate_live
@@ -156,8 +156,8 @@ def told(judged: JudgedAnswers, hijacks: Sequence[HijackEvent], had_slam: bool, 
             f"position error {_number(summary['position_error_median_m'])} m (median),"
             f" calibration error {_number(summary['calibration_error'])}"
         )
-    if between := [a for a in judged.answers if a.room is None and one_of_two(a.room_alternatives)]:
-        lines.append(f"{len(between)} answers name no room, but two of which it is one")
+    if between := sum(bool(a.one_of_two) for a in judged.answers):
+        lines.append(f"{between} answers name no room, but two of which it is one")
     if judged.frame.source == "answers":
         lines.append("the map's frame was fitted to the answers themselves; --map-truth judges more strictly")
     return "\n".join([*lines, f"written to {out}"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -54,24 +53,6 @@ class RoomCandidate:
     probability: float
 
 
-SURE = 0.8  # together, that two rooms are said to be all it may be: as much as one room is named from
-HARDLY = 0.1  # what is less probable is no room worth naming
-
-
-def one_of_two(rooms: Sequence[RoomCandidate]) -> tuple[RoomCandidate, ...]:
-    """While no room is known, the two of which it is surely one, such as rooms that look alike; else none.
-
-    Args:
-        rooms: `PlaceAnswer.room_alternatives`, the likeliest first.
-    Returns:
-        Two, the likelier first, or none.
-    """
-    likely = [room for room in rooms if room.probability >= HARDLY]
-    if len(likely) != 2 or likely[0].probability + likely[1].probability < SURE:
-        return ()
-    return tuple(likely)
-
-
 def where(place: str, room: str) -> str:
     """Names of the place and the room in words, each empty where it is not known: "at Sofa in Living room".
 
@@ -103,6 +84,7 @@ class PlaceAnswer:
     map_id: str | None = None  # of what is said of place, position and evidence; None: nothing speaks for any map
     room: RoomCandidate | None = None  # None: no room is probable enough
     room_alternatives: tuple[RoomCandidate, ...] = ()  # the likeliest other ones; all of them while `room` is None
+    one_of_two: tuple[RoomCandidate, ...] = ()  # while `room` is None: the two that it is surely one of, or none
     doorway: str | None = None  # id of the door that the robot is in
     forward_map: FloatArray | None = None  # (3,) unit vector, where the robot's front points; where there is a position
     sigma_position: float | None = None  # map units, 1 sigma per axis of the position

@@ -109,6 +109,7 @@ class CurrentPlace(IgnoringListener):
             alternatives=(),
             room=None,
             room_alternatives=(),
+            one_of_two=(),
             doorway=None,
             forward_map=None,
             sigma_position=None,

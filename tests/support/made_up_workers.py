@@ -190,7 +190,9 @@ class OneOfTwoRooms(PlaceByLight):
         assert plan is not None
         two = zip(plan.rooms[:2], (0.5, 0.45), strict=True)
         rooms = tuple(RoomCandidate(room.id, room.name, probability) for room, probability in two)
-        return replace(report, answer=replace(report.answer, state="lost", place=None, room_alternatives=rooms))
+        return replace(
+            report, answer=replace(report.answer, state="lost", place=None, room_alternatives=rooms, one_of_two=rooms)
+        )
 
 
 def made_up_navigation() -> Navigation:

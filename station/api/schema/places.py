@@ -10,7 +10,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from station.api.schema.base import Model, Name, Question
 from station.library.active_maps import ActiveMap
-from station.model.place_answer import RoomCandidate, one_of_two
+from station.model.place_answer import RoomCandidate
 from station.model.place_map import Place, PlaceMap
 from station.model.points import NO_PLACE
 from station.places.making.graph import Route
@@ -237,7 +237,7 @@ def current_place(robot: RobotSession) -> CurrentPlace:
 
     likeliest = answer.place or (answer.alternatives[0] if answer.alternatives else None)
     is_metric = active.place_map.navigation.is_metric
-    between = () if answer.room else one_of_two(answer.room_alternatives)
+    two = list(rooms_now(*answer.one_of_two))
     evidence_ns, keyframe = answer.evidence_t_robot_ns, answer.evidence_keyframe
     has_query = evidence_ns is not None and robot.current_place.query_image(evidence_ns) is not None
     return CurrentPlace(
@@ -258,7 +258,7 @@ def current_place(robot: RobotSession) -> CurrentPlace:
         ],
         room=next(rooms_now(answer.room), None),
         room_alternatives=list(rooms_now(*answer.room_alternatives)),
-        one_of_two=list(rooms_now(*between)),
+        one_of_two=two if len(two) == 2 else [],  # not where they were made one meanwhile
         doorway=answer.doorway,
         evidence=Evidence(
             query_image=f"{robot.path}/place/current/images/{evidence_ns}.jpg" if has_query else None,

@@ -59,8 +59,8 @@ def find_borders(rectangles: Sequence[Rectangle], edges: FloatArray, surfaces: S
             own = r.pieces(axis)
             part = slice(max(own.start, low), min(own.stop, high))
             odds[part.start - low : part.stop - low] += sides.odds[axis, sign][r.plane((axis, sign)), part]
-        faces = [second.plane((axis, 1)), first.plane((axis, -1))]  # the frame shows in either
-        odds_of_wall, doors = wall_with_doors(odds, sides.door[axis][faces, low:high].min(axis=0))
+        faces = np.array([second.plane((axis, 1)), first.plane((axis, -1))])  # the frame shows in either
+        odds_of_wall, doors = wall_with_doors(odds, sides.doors[axis].of(faces, slice(low, high)).min(axis=0))
         lead[a, b] = abs(odds_of_wall)
         if odds_of_wall <= 0:
             joined.append((a, b))

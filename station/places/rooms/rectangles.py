@@ -18,13 +18,14 @@ from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
 from shared.geometry import FloatArray, IntArray
 from station.places.rooms.lengths import WALL_M
-from station.places.rooms.sides import Sides, best_runs
+from station.places.rooms.sides import Doors, Sides, best_runs
 from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Side, Surfaces
 from station.places.rooms.wall_model import WallModel
 from station.places.space.space import Cells
 
 MOST_PLANES = 20  # for each of the four sides: the strongest
 MOST_OPEN = 8  # ... and, for open ones, the strongest of the opposite side
+MOST_FRAMED = 8  # ... and, for bare ones, those that show most of a door's frame
 LEAST_M = 0.9  # a robot drives into nothing narrower
 PRICE_M = PIECE_M  # between the points of the ground that have a price: what lies between two may be two rooms'
 COLUMNS = 12  # new rectangles of a round
@@ -79,7 +80,7 @@ def find_rectangles(surfaces: Surfaces, sides: Sides, model: WallModel) -> Packe
     walls = {side: strongest_planes(sides.odds[side], MOST_PLANES) for side in SIDES}
     # An open side shows no wall: it begins where another rectangle's wall ends.
     opposite = {(axis, sign): walls[axis, -sign][:MOST_OPEN] for axis, sign in SIDES}
-    framed = {axis: framed_planes(sides.door[axis], model) for axis in (0, 1)}  # of walls that show nothing else
+    framed = {axis: framed_planes(sides.doors[axis], model) for axis in (0, 1)}  # of walls that show nothing else
     planes = [functools.reduce(np.union1d, (walls[side], opposite[side], framed[side[0]])) for side in SIDES]
     if not all(len(found) for found in planes):
         return Packed((), (), 0.0)
@@ -104,12 +105,12 @@ def strongest_planes(odds: FloatArray, most: int) -> IntArray:
     return np.array(list(found), dtype=np.int64)
 
 
-def framed_planes(door: FloatArray, model: WallModel) -> IntArray:
-    """Numbers of the planes with the frame of a door; of planes beside each other that which shows it best."""
-    cost = door.min(axis=(1, 2))
+def framed_planes(doors: Doors, model: WallModel) -> IntArray:
+    """Numbers of the planes that show most of a door's frame; of planes beside each other the one that shows most."""
+    cost = doors.least()
     is_least = (cost < model.door) & (cost == ndimage.minimum_filter1d(cost, 2 * round(WALL_M / LINE_M) + 1))
-    begins = is_least & ~np.concatenate([[False], is_least[:-1]])
-    return np.flatnonzero(begins)
+    found = np.flatnonzero(is_least & ~np.concatenate([[False], is_least[:-1]]))
+    return found[np.argsort(cost[found], kind="stable")[:MOST_FRAMED]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

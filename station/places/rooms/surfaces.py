@@ -90,7 +90,7 @@ class Surfaces:
     driven: Cells  # (X, Y) by the body
     passed: dict[int, Cells]  # for planes across each axis (planes, pieces): the body was there, so no wall is
     # For planes across each axis (planes, pieces, DOOR_PIECES): of a door that begins with a piece and is so wide, what
-    # shows of its frame: one more than the storeys that both its posts show, or NOT_PASSED.
+    # shows of its frame: one more than the storeys of the post that shows fewer, or NOT_PASSED.
     frames: dict[int, npt.NDArray[np.uint8]]
 
 
@@ -224,9 +224,15 @@ class _Grid:
 
     def storeys_on(self, p: FloatArray, height: FloatArray, axis: int) -> Cells:
         """(planes, pieces, storeys) which show a landmark (n, 2) within one and a half LINE_M of a plane."""
+        shape = (2 * self.shape[axis] + 1, self.shape[1 - axis], STOREYS)
+        plane = np.round((p[:, axis] - self.low[axis]) / LINE_M).astype(np.int64)
+        piece = np.floor((p[:, 1 - axis] - self.low[1 - axis]) / PIECE_M).astype(np.int64)
         storey = np.minimum(height / STOREY_M, STOREYS - 1).astype(np.int64)
-        on = [self.landmarks_on(p[storey == k], axis) > 0.5 for k in range(STOREYS)]
-        return np.stack(on, axis=-1)
+        on = np.zeros(shape, dtype=np.bool_)
+        for step in (-1, 0, 1):
+            inside = (plane + step >= 0) & (plane + step < shape[0]) & (piece >= 0) & (piece < shape[1])
+            on[plane[inside] + step, piece[inside], storey[inside]] = True
+        return on
 
     def crossed(self, lines: FloatArray, axis: int) -> FloatArray:
         """(planes, pieces) how many of the lines (n, 4) pass through."""

@@ -18,6 +18,7 @@ from station.places.tracking.map_view import MapView
 from station.places.tracking.room_view import RoomView
 
 MAX_CANDIDATES = 4
+EITHER = 0.1  # of two rooms that it is surely one of, each is as probable at least
 Drawn = tuple[Hypothesis, FloatArray]  # a hypothesis, and (n, 3) positions in its map that it may mean
 
 
@@ -27,6 +28,7 @@ class RoomProbabilities:
 
     inside: FloatArray  # (R,)
     tie: FloatArray  # (R,) in it, or in a doorway of it
+    recognised: FloatArray  # (R,) as `inside`, without what is mere prior: somewhere in a map
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +38,7 @@ class RoomAnswer:
     map_index: int | None = None  # of `room`
     room: RoomCandidate | None = None
     alternatives: tuple[RoomCandidate, ...] = ()
+    one_of_two: tuple[RoomCandidate, ...] = ()
     doorway: str | None = None  # id of the door
 
 
@@ -81,7 +84,7 @@ class RoomReporter:
                 inside[part] += h.weight * within
                 tie[part] += h.weight * tied
         lost = belief.lost * self._prior
-        return RoomProbabilities(inside + lost, tie + lost)
+        return RoomProbabilities(inside + lost, tie + lost, inside)
 
     def answer(self, belief: Belief, drawn: Sequence[Drawn]) -> RoomAnswer:
         """The room where one is probable enough, and what else it may be."""
@@ -92,7 +95,7 @@ class RoomReporter:
         is_right = found.tie[order] >= self._config.known_from
         # In a map of one room a robot that is lost in it is there, too: but nobody recognised it.
         if belief.localised <= 0.5 or not len(order) or not is_right[0]:
-            return RoomAnswer(alternatives=candidates)
+            return RoomAnswer(alternatives=candidates, one_of_two=self._one_of_two(found.recognised))
         map_index, room = self._located(int(order[0]))
         doorway = None
         if len(order) > 1 and is_right[1]:
@@ -101,7 +104,14 @@ class RoomReporter:
             if other_map == map_index and view is not None and here:
                 _, p_map = max(here, key=lambda pair: pair[0].weight)
                 doorway = view.door_between(room, other, p_map.mean(axis=0))
-        return RoomAnswer(map_index, candidates[0], candidates[1:], doorway)
+        return RoomAnswer(map_index, candidates[0], candidates[1:], doorway=doorway)
+
+    def _one_of_two(self, recognised: FloatArray) -> tuple[RoomCandidate, ...]:
+        """The two rooms that are together as probable as one has to be, such as rooms that look alike; else none."""
+        two = np.argsort(-recognised, kind="stable")[:2]
+        if len(two) < 2 or recognised[two[1]] < EITHER or recognised[two].sum() < self._config.known_from:
+            return ()
+        return tuple(self._candidate(int(i), float(recognised[i])) for i in two)
 
     def _candidate(self, number: int, probability: float) -> RoomCandidate:
         map_index, index = self._located(number)

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from shared.geometry import FloatArray
-from station.model.place_answer import PlaceAnswer, one_of_two
+from station.model.place_answer import PlaceAnswer
 from station.model.place_map import PlaceMap
 from station.places.tracking.room_view import RoomView
 from tests.support.drives.judging import Share, right_places
@@ -73,9 +73,9 @@ def _rooms_at(view: RoomView, p_map: FloatArray) -> set[str]:
 def _said(answer: PlaceAnswer, here: set[str], there: set[str]) -> tuple[Said, float]:
     if answer.room is not None:
         return ("right" if answer.room.id in here else "guess"), answer.room.probability
-    two = one_of_two(answer.room_alternatives)
+    two = answer.one_of_two
     if any(room.id in here for room in two) and any(room.id in there - here for room in two):
-        return "one of two", min(1.0, sum(room.probability for room in two))
+        return "one of two", sum(room.probability for room in two)
     return "nothing", 0.0
 
 

@@ -27,8 +27,8 @@ def image_at(seconds: float, *, in_twin: bool = True) -> LookedAt:
     return LookedAt(round(seconds * S), attempt, here, 0.0, False, there if in_twin else None)
 
 
-def answer(room: RoomCandidate | None = None, others: Sequence[RoomCandidate] = ()) -> PlaceAnswer:
-    return PlaceAnswer("lost", None, None, None, 0, None, None, 0, (), "", room=room, room_alternatives=tuple(others))
+def answer(room: RoomCandidate | None = None, two: Sequence[RoomCandidate] = ()) -> PlaceAnswer:
+    return PlaceAnswer("lost", None, None, None, 0, None, None, 0, (), "", room=room, one_of_two=tuple(two))
 
 
 def candidate(room_id: str, probability: float) -> RoomCandidate:
@@ -37,7 +37,7 @@ def candidate(room_id: str, probability: float) -> RoomCandidate:
 
 RIGHT, GUESS = answer(candidate("room-l", 0.9)), answer(candidate("room-k", 0.85))
 ONE_OF_TWO = answer(None, [candidate("room-k", 0.5), candidate("room-l", 0.45)])
-OPEN = answer(None, [candidate("room-l", 0.4), candidate("room-k", 0.2)])
+OPEN = answer()
 
 
 def judged(answers: Sequence[tuple[LookedAt, PlaceAnswer]], hijack: TrueHijack | None) -> TwinDrive:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from station.model.place_answer import SURE, RoomCandidate, one_of_two, where
-from station.places.tracking.config import BeliefConfig
+from station.model.place_answer import where
 
 
 @pytest.mark.parametrize(
@@ -25,24 +24,3 @@ from station.places.tracking.config import BeliefConfig
 )
 def test_a_place_is_said_to_be_in_the_room_that_the_robot_is_in(place: str, room: str, words: str) -> None:
     assert where(place, room) == words
-
-
-@pytest.mark.parametrize(
-    ("shares", "two"),
-    [
-        ((0.52, 0.46), 2),
-        ((0.7, 0.2, 0.02), 2),
-        ((0.36, 0.24), 0),  # mere prior of a map of two rooms
-        ((0.34, 0.33, 0.33), 0),
-        ((0.79, 0.03), 0),
-        ((0.79,), 0),
-        ((), 0),
-    ],
-)
-def test_two_rooms_are_said_where_it_is_surely_one_of_them(shares: tuple[float, ...], two: int) -> None:
-    rooms = tuple(RoomCandidate(f"room-{k}", f"Room {k}", share) for k, share in enumerate(shares))
-    assert one_of_two(rooms) == rooms[:two]
-
-
-def test_two_rooms_are_as_sure_together_as_one_that_is_named() -> None:
-    assert BeliefConfig().known_from == SURE

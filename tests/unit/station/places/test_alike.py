@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from station.model.place_answer import Localization, PlaceAnswer, one_of_two
+from station.model.place_answer import Localization, PlaceAnswer
 from station.places.tracking.alike import UNRIVALLED
 from station.places.tracking.current import CurrentPlaceEstimator
 from tests.support.places import SECOND, estimator_of, make_map, pose, seen
@@ -43,7 +43,7 @@ def test_a_twin_that_was_mapped_with_more_landmarks_is_no_likelier_with_every_im
     tracked = estimator()
     answers = [look(tracked, k, at(HERE_X, k, 120), at(THERE_X, k, 85)) for k in range(9)]
     for answer in answers:
-        assert answer.room is None and len(one_of_two(answer.room_alternatives)) == 2
+        assert answer.room is None and len(answer.one_of_two) == 2
     assert sum(rooms_of(answers[-1]).values()) == pytest.approx(1.0, abs=0.01)
     assert rooms_of(answers[-1])["room-k"] == pytest.approx(rooms_of(answers[2])["room-k"], abs=0.1)
 

@@ -49,6 +49,30 @@ def test_of_two_rooms_that_look_alike_none_is_guessed() -> None:
     assert answer.room is None
     assert {room.id for room in answer.room_alternatives} == {"room-l", "room-k"}
     assert [room.probability for room in answer.room_alternatives] == pytest.approx([0.5, 0.5], abs=0.1)
+    assert {room.id for room in answer.one_of_two} == {"room-l", "room-k"}
+
+
+@pytest.mark.parametrize(
+    ("weights", "unmapped", "lost"),
+    [
+        (
+            ((0.6, 3.0, 0.1),),
+            0.4,
+            0.0,
+        ),  # one pose, in a doorway, where both are right
+        (((0.55, 0.0, 0.0), (0.05, 5.0, 0.0)), 0.0, 0.4),  # of the second one hardly more than the prior speaks
+        ((), 0.05, 0.95),
+        (((0.79, 0.0, 0.0), (0.03, 5.0, 0.0)), 0.18, 0.0),
+    ],
+)
+def test_it_is_one_of_two_rooms_only_where_both_were_recognised(
+    weights: tuple[tuple[float, float, float], ...], unmapped: float, lost: float
+) -> None:
+    reporter = RoomReporter([MapView.of(flat())], BeliefConfig())
+    hypotheses = tuple(Hypothesis(0, pose(x, y), 1.0, 0.1, 0.1, w, 0, 0, 0) for w, x, y in weights)
+    drawn = [(h, np.repeat(h.T_map_nav[None, :3, 3], 5, axis=0)) for h in hypotheses]
+    answer = reporter.answer(Belief(hypotheses, lost=lost, unmapped=unmapped), drawn)
+    assert answer.room is None and answer.one_of_two == ()
 
 
 def test_in_a_doorway_both_rooms_are_right() -> None:

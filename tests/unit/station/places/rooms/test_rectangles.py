@@ -12,9 +12,17 @@ from hypothesis import strategies as st
 
 from station.places.rooms.borders import find_borders, settled, wall_with_doors
 from station.places.rooms.plan import plan_along
-from station.places.rooms.rectangles import Packed, Rectangle, _Choices, _packed, find_rectangles
+from station.places.rooms.rectangles import (
+    MOST_FRAMED,
+    Packed,
+    Rectangle,
+    _Choices,
+    _packed,
+    find_rectangles,
+    framed_planes,
+)
 from station.places.rooms.segments import _passed_unseen
-from station.places.rooms.sides import Sides, weigh_sides
+from station.places.rooms.sides import Doors, Sides, weigh_sides
 from station.places.rooms.surfaces import DOOR_PIECES, LINE_M, NOT_PASSED, PIECE_M, SIDES, Seen, Surfaces, find_surfaces
 from station.places.rooms.wall_model import wall_model
 from tests.support.flats import DOOR, ELL, TWO_ROOMS, WAY_OF_ELL, WAY_OF_TWO, Wall, navigate
@@ -94,6 +102,16 @@ def test_a_frame_shows_where_landmarks_stand_over_each_other_to_both_sides_of_th
         plane = round(-surfaces.low[1] / LINE_M)
         begin = round(-surfaces.low[0] / PIECE_M)
         assert surfaces.frames[1][plane, begin, DOOR_PIECES.index(9)] == shown
+
+
+def test_planes_with_a_frame_are_tried_the_best_of_those_beside_each_other() -> None:
+    """Of a bare wall nothing else shows."""
+    frames = np.full((40, 30, len(DOOR_PIECES)), NOT_PASSED, dtype=np.uint8)
+    frames[10:13, 5, 2], frames[11, 5, 3], frames[30, 7, 1] = 3, 4, 4
+    doors = Doors(frames, wall_model().door - wall_model().frame_weight * np.array(wall_model().frame))
+    assert framed_planes(doors, wall_model()).tolist() == [11, 30]
+    frames[::4] = 3
+    assert len(framed_planes(doors, wall_model())) == MOST_FRAMED
 
 
 def test_a_wall_with_a_door_parts_two_rooms_and_an_open_side_does_not() -> None:
