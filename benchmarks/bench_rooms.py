@@ -154,6 +154,8 @@ def main() -> int:
     parser.add_argument("--cache", type=Path, help="folder of mapped flats; usually in benchmarks/results/work")
     add_results_option(parser, "rooms")
     a = parser.parse_args()
+    if not a.worlds and not a.recorded:
+        parser.error("nothing to judge: give --worlds or --recorded")
     this_run = Run.begin()
     cache = a.cache or work_folder() / "room_flats"
     rows = []

@@ -91,7 +91,7 @@ SUITE = (
     Benchmark(
         "rooms_recorded", PLACES, "bench_rooms",
         f"--recorded {DATA}/redkitchen:0-398 {DATA}/redkitchen:500-698 {DATA}/euroc_v1_01_keyframes", None,
-        data=f"{DATA}/redkitchen",
+        data=f"{DATA}/euroc_v1_01_keyframes",
     ),
     Benchmark(
         "depth", PLACES, "bench_depth", f"--data {DATA}/redkitchen", f"--data {DATA}/redkitchen --passes 500-698",

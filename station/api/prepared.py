@@ -19,9 +19,11 @@ class Prepared:
 
     def __init__(self, make: Callable[[ActiveMap], bytes]) -> None:
         self._make = make
-        self._made: WeakKeyDictionary[ActiveMap, bytes] = WeakKeyDictionary()
+        self._made: WeakKeyDictionary[ActiveMap, asyncio.Task[bytes]] = WeakKeyDictionary()
 
     async def response(self, active: ActiveMap) -> Response:
-        if (made := self._made.get(active)) is None:
-            made = self._made[active] = await asyncio.to_thread(self._make, active)
-        return Response(made, media_type="application/json")
+        made = self._made.get(active)
+        if made is None or (made.done() and (made.cancelled() or made.exception() is not None)):
+            made = self._made[active] = asyncio.create_task(asyncio.to_thread(self._make, active))
+        # Several may wait for it; that one of them is gone ends it for nobody.
+        return Response(await asyncio.shield(made), media_type="application/json")

@@ -59,7 +59,7 @@ export async function openRoom(room: PlanRoom, plan: FloorPlanModel): Promise<vo
   dialog.showModal();
   input.focus();
   const known = await call<RoomModel>("GET", `/rooms/${room.id}`).catch((error: unknown) => {
-    dialog.close(); // it is gone
+    if (dialog.contains(form)) dialog.close(); // it is gone; another room's stays
     throw error;
   });
   setText(about, describe(known));
