@@ -9,9 +9,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy import ndimage
 
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, IntArray
 from station.model.floor_plan import NO_ROOM, OCCUPIED, FloorPlan
 from station.model.place_map import PlaceMap
 
@@ -92,15 +91,15 @@ def room_colour(number: int) -> Colour:
 def room_outlines(plan: FloorPlan) -> list[list[FloatArray]]:
     """For each room its closed outlines (n, 2), map units on the ground; the first one is the largest."""
     found: list[list[FloatArray]] = []
-    for number, box in enumerate(ndimage.find_objects(plan.room.astype(np.int32) + 1, max_label=len(plan.rooms))):
-        if box is None:
+    for number, (begin, end) in enumerate(zip(*_boxes(plan), strict=True)):
+        if (end <= begin).any():
             found.append([])
             continue
         # Twice as fine, so that the outline runs around the cells and not through their middles.
-        mask = (plan.room[box] == number).astype(np.uint8).repeat(2, axis=0).repeat(2, axis=1)
+        mask = (plan.room[begin[0] : end[0], begin[1] : end[1]] == number).astype(np.uint8).repeat(2, axis=0).repeat(2, axis=1)
         fine = cv2.copyMakeBorder(mask, 2, 2, 2, 2, cv2.BORDER_CONSTANT, value=(0.0,))
         outlines, _ = cv2.findContours(fine, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-        corner = plan.low + plan.cell * (np.array([side.start for side in box]) - 1)
+        corner = plan.low + plan.cell * (begin - 1)
         pieces = []
         for outline in sorted(outlines, key=cv2.contourArea, reverse=True):
             smooth = cv2.approxPolyDP(outline, 2 * SMOOTH_CELLS, closed=True)[:, 0, ::-1]
@@ -108,6 +107,19 @@ def room_outlines(plan: FloorPlan) -> list[list[FloatArray]]:
                 pieces.append(corner + plan.cell * (smooth + 0.5) / 2)
         found.append(pieces)
     return found
+
+
+def _boxes(plan: FloorPlan) -> tuple[IntArray, IntArray]:
+    """(rooms, 2) the first cell of each room along both axes, and the one after its last; equal where it has none."""
+    cells = np.argwhere(plan.room != NO_ROOM)
+    numbers = plan.room[tuple(cells.T)]
+    order = np.argsort(numbers, kind="stable")
+    own, first = np.unique(numbers[order], return_index=True)
+    low, high = np.zeros((len(plan.rooms), 2), dtype=np.int64), np.zeros((len(plan.rooms), 2), dtype=np.int64)
+    if len(own):
+        low[own], high[own] = (of.reduceat(cells[order], first, axis=0) for of in (np.minimum, np.maximum))
+        high[own] += 1
+    return low, high
 
 
 def _rooms(plan: FloorPlan, is_metric: bool) -> tuple[DrawnRoom, ...]:

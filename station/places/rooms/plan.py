@@ -45,11 +45,10 @@ def make_floor_plan(
         return plan_along(R, navigation, places, model, edits, previous, T)
     level, p = ground_rotation(navigation), navigation.landmarks.p_world
     R = plan_axes(level, p[np.isfinite(p).all(axis=1)], 1.0)
-    seen = Seen.of(navigation, R)
-    turns = turns_to_walls(seen, model)
-    layouts = [lay_out(find_surfaces(seen.turned(turn)), model) for turn in turns]
+    axes = [yaw_rotation(turn) @ R for turn in turns_to_walls(Seen.of(navigation, R), model)]
+    layouts = [_layout(navigation, R, model) for R in axes]
     best = int(np.argmax([layout.worth for layout in layouts]))
-    return _drawn(yaw_rotation(turns[best]) @ R, layouts[best], navigation, places, model, edits, None, T_map_previous)
+    return _drawn(axes[best], layouts[best], navigation, places, model, edits, None, T_map_previous)
 
 
 def plan_along(
@@ -62,8 +61,13 @@ def plan_along(
     T_map_previous: FloatArray | None = None,
 ) -> FloorPlan:
     """`make_floor_plan` where the axes (3, 3) and what walls look like are given."""
-    layout = lay_out(find_surfaces(Seen.of(navigation, R_ground_map)), model)
+    layout = _layout(navigation, R_ground_map, model)
     return _drawn(R_ground_map, layout, navigation, places, model, edits, previous, T_map_previous)
+
+
+def _layout(navigation: Navigation, R_ground_map: FloatArray, model: WallModel) -> Layout:
+    """The same to the last bit, whether these axes were found now or are those of an earlier plan."""
+    return lay_out(find_surfaces(Seen.of(navigation, R_ground_map)), model)
 
 
 def _drawn(
