@@ -96,7 +96,8 @@ def room_outlines(plan: FloorPlan) -> list[list[FloatArray]]:
             found.append([])
             continue
         # Twice as fine, so that the outline runs around the cells and not through their middles.
-        mask = (plan.room[begin[0] : end[0], begin[1] : end[1]] == number).astype(np.uint8).repeat(2, axis=0).repeat(2, axis=1)
+        mask = plan.room[begin[0] : end[0], begin[1] : end[1]] == number
+        mask = mask.astype(np.uint8).repeat(2, axis=0).repeat(2, axis=1)
         fine = cv2.copyMakeBorder(mask, 2, 2, 2, 2, cv2.BORDER_CONSTANT, value=(0.0,))
         outlines, _ = cv2.findContours(fine, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         corner = plan.low + plan.cell * (begin - 1)
