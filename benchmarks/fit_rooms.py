@@ -2,10 +2,10 @@
 
     python -m benchmarks.fit_rooms --worlds home:900-901 plain:900-902 --cache DIR
 
-What walls, rooms and frames look like is counted beside the simulator's truth. The costs and weights that are left are
-those with which the true rooms are worth more than any other set of rectangles that is found, by a margin that grows
-with how wrong that set is (structured support vector machine with cutting planes: Tsochantaridis et al., JMLR 2005).
-None of these flats may be used to judge the result.
+What walls and rooms look like is counted beside the simulator's truth. The five costs that are left are those with
+which the true rooms are worth more than any other set of rectangles that is found, by a margin that grows with how
+wrong that set is (structured support vector machine with cutting planes: Tsochantaridis et al., JMLR 2005). None of
+these flats may be used to judge the result.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from scipy.optimize import linear_sum_assignment, minimize, minimize_scalar
 from threadpoolctl import threadpool_limits
 
 from benchmarks.room_flats import MappedRooms, mapped_rooms, parse_worlds
-from benchmarks.room_truth import true_doors
 from robot.simulation.world import Room, World
 from shared.disk import replace_file
 from shared.geometry import FloatArray, IntArray, inverse_sim3, rotation_of, transform
@@ -34,10 +33,7 @@ from station.places.rooms.sides import Sides, gap_costs, gaps_of, weigh_sides
 from station.places.rooms.surfaces import (
     AREA_CLASSES,
     CLASSES,
-    DOOR_PIECES,
-    FRAME_CLASSES,
     LINE_M,
-    NOT_PASSED,
     PIECE_M,
     SIDES,
     UNSEEN,
@@ -50,9 +46,7 @@ from station.places.rooms.wall_model import GENERATED, WallModel, wall_model
 OFF_WALL_M = 0.2  # what counts as in a room, not at its walls
 AROUND_M = 1.5  # the flat counts as outside
 NEAR = 3  # planes to either side of a true wall
-COSTS = ("door", "gap", "gap_piece", "room")
-WEIGHTS = ("area_weight", "frame_weight")
-NEAR_DOOR_M = 0.45, 0.15  # along and across: where the body passed a door
+COSTS = ("door", "gap", "gap_piece", "room", "area_weight")
 MARGIN = 100.0  # nats by which true rooms should be ahead of what is wholly wrong
 STAY = 5.0  # nats by which a step to e times a cost must pay
 ROUNDS = 6
@@ -148,40 +142,6 @@ def count_cells(flats: Sequence[Flat]) -> FloatArray:
     return np.asarray(np.log(inside / inside.sum()) - np.log(outside / outside.sum()))
 
 
-def count_frames(flats: Sequence[Flat]) -> FloatArray:
-    """(FRAME_CLASSES,) log odds of what shows of the frame where the body passed a door against elsewhere in a flat.
-
-    Of each plane that it passed, the door there that shows most; of a door the plane that shows most.
-    """
-    door, elsewhere = np.ones(FRAME_CLASSES), np.ones(FRAME_CLASSES)
-    for flat in flats:
-        frames = {axis: shown.max(axis=2) for axis, shown in flat.surfaces.frames.items()}
-        doors = flat.on_ground(np.array([[d.x_m, d.y_m] for d in true_doors(flat.mapped.world)])) - flat.surfaces.low
-        for axis in (0, 1):
-            planes, pieces = np.nonzero(frames[axis] != NOT_PASSED)
-            shown = frames[axis][planes, pieces]
-            across, along = planes * LINE_M, (pieces + 0.5) * PIECE_M + DOOR_PIECES[0] * PIECE_M / 2
-            of_none = np.ones(len(planes), dtype=np.bool_)
-            for at, stands_across in zip(doors, _stand_across(flat, axis), strict=True):
-                near = (np.abs(across - at[axis]) < NEAR_DOOR_M[1]) & (np.abs(along - at[1 - axis]) < NEAR_DOOR_M[0])
-                of_none &= np.hypot(across - at[axis], along - at[1 - axis]) > NEAR_DOOR_M[0]
-                if stands_across and near.any():
-                    door[shown[near].max()] += 1
-            best = np.zeros(len(frames[axis]), dtype=np.int64)
-            np.maximum.at(best, planes[of_none], shown[of_none])
-            elsewhere += np.bincount(best[best != NOT_PASSED], minlength=FRAME_CLASSES)
-    odds = np.log(door / door.sum()) - np.log(elsewhere / elsewhere.sum())
-    odds[NOT_PASSED] = 0.0
-    return np.asarray(odds)
-
-
-def _stand_across(flat: Flat, axis: int) -> list[bool]:
-    """Of each true door, whether its wall stands across an axis of the plan."""
-    R = flat.R_ground_map @ rotation_of(flat.mapped.T_world_map).T
-    through = [np.array([0.0, 1.0, 0.0] if d.along == "x" else [1.0, 0.0, 0.0]) for d in true_doors(flat.mapped.world)]
-    return [abs((R @ d)[axis]) > abs((R @ d)[1 - axis]) for d in through]
-
-
 def true_rectangles(flat: Flat, sides: Sides, model: WallModel) -> list[Rectangle]:
     """The true rooms on the nearby planes that suit them best: maps are bent."""
     found = []
@@ -197,12 +157,12 @@ def true_rectangles(flat: Flat, sides: Sides, model: WallModel) -> list[Rectangl
 
 
 def score(r: Rectangle, sides: Sides, model: WallModel) -> float:
-    return float(worth([r], sides, model) @ _weights([getattr(model, cost) for cost in (*COSTS, *WEIGHTS)]))
+    return float(worth([r], sides, model) @ _weights([getattr(model, cost) for cost in COSTS]))
 
 
 def worth(rectangles: Sequence[Rectangle], sides: Sides, model: WallModel) -> FloatArray:
-    """(7,) what a set of rectangles gains from walls, how often each of the costs counts, what has a weight."""
-    total = np.zeros(1 + len(COSTS) + len(WEIGHTS))
+    """(6,) what a set of rectangles gains from walls, then how often each of the costs counts."""
+    total = np.zeros(1 + len(COSTS))
     for r in rectangles:
         for side in SIDES:
             plane, pieces = r.plane(side), r.pieces(side[0])
@@ -210,17 +170,15 @@ def worth(rectangles: Sequence[Rectangle], sides: Sides, model: WallModel) -> Fl
             total[0] += sides.odds[side][plane, pieces][is_wall].sum()
             for begin, end in gaps_of(sides.is_wall[side][plane]):  # those at the ends count in part
                 part = max(min(end, pieces.stop) - max(begin, pieces.start), 0) / (end - begin)
-                cost = gap_costs(np.array([plane]), np.array([begin]), np.array([end]), sides.doors[side[0]], model)[0]
-                is_door = cost != model.gap + model.gap_piece * (end - begin)
+                is_door = gap_costs(np.array([end - begin]), model)[0] == model.door
                 total[1:4] += part * np.array([is_door, not is_door, 0 if is_door else end - begin])
-                total[6] += part * (model.door - cost) / model.frame_weight if is_door else 0.0
         area = sides.area[r.x1, r.y1] - sides.area[r.x0, r.y1] - sides.area[r.x1, r.y0] + sides.area[r.x0, r.y0]
-        total[4:6] += np.array([1.0, area / model.area_weight])
+        total[4:] += np.array([1.0, area / model.area_weight])
     return total
 
 
 def _weights(costs: Sequence[float]) -> FloatArray:
-    return np.array([1.0, *(-cost for cost in costs[: len(COSTS)]), *costs[len(COSTS) :]])
+    return np.array([1.0, *(-cost for cost in costs[:-1]), costs[-1]])
 
 
 def wrongness(true: Sequence[Rectangle], found: Sequence[Rectangle]) -> float:
@@ -241,14 +199,14 @@ def fit_costs(flats: Sequence[Flat], model: WallModel) -> WallModel:
             true, found = true_rectangles(flat, sides, model), find_rectangles(flat.surfaces, sides, model).rectangles
             wrong.append(wrongness(true, found))
             rivals.append((number, worth(true, sides, model) - worth(found, sides, model), wrong[-1]))
-        costs = ", ".join(f"{cost} {getattr(model, cost):.3g}" for cost in (*COSTS, *WEIGHTS))
+        costs = ", ".join(f"{cost} {getattr(model, cost):.3g}" for cost in COSTS)
         print(f"{costs}: wrong {np.mean(wrong):.3f} {np.round(wrong, 2).tolist()}", file=sys.stderr, flush=True)
         if np.mean(wrong) < least:
             least, best = float(np.mean(wrong)), model
-        begin = np.log([getattr(best, cost) for cost in (*COSTS, *WEIGHTS)])
+        begin = np.log([getattr(best, cost) for cost in COSTS])
         solved = minimize(_regret, begin, args=(begin, rivals, len(flats)), method="Nelder-Mead", options=SIMPLEX)
         model = msgspec.structs.replace(
-            model, **dict(zip((*COSTS, *WEIGHTS), (float(f"{c:.3g}") for c in np.exp(solved.x)), strict=True))
+            model, **dict(zip(COSTS, (float(f"{c:.3g}") for c in np.exp(solved.x)), strict=True))
         )
     return best
 
@@ -297,7 +255,6 @@ def main() -> int:
         worlds=tuple(str(name) for name in names),
         wall=tuple(np.round(count_pieces(flats), 2).tolist()),
         area=tuple(np.round(count_cells(flats), 2).tolist()),
-        frame=tuple(np.round(count_frames(flats), 2).tolist()),
     )
     model = fit_costs(flats, model)
     model = msgspec.structs.replace(model, lead=float(f"{fit_lead(flats, model):.3g}"))

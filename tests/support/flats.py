@@ -65,25 +65,6 @@ def navigate(walls: Sequence[Wall], way: Sequence[tuple[float, float]], seed: in
     )
 
 
-def bared(navigation: Navigation, walls: Sequence[Wall], bare: int, every: int) -> Navigation:
-    """Of the first walls, `bare` of them, each `every`th landmark is left."""
-    _, wall_of = _landmarks(walls)
-    kept = np.flatnonzero((wall_of >= bare) | (wall_of < 0) | (np.arange(len(wall_of)) % every == 0))
-    number = np.full(len(wall_of), -1)
-    number[kept] = np.arange(len(kept))
-    marks = navigation.landmarks
-    rows = number[marks.observed_landmark] >= 0
-    left = Landmarks(
-        marks.p_world[kept],
-        marks.rgb[kept],
-        marks.cov_world[kept],
-        number[marks.observed_landmark[rows]],
-        marks.observed_keyframe[rows],
-        marks.observed_uv_px[rows],
-    )
-    return replace(navigation, landmarks=left)
-
-
 def moved(navigation: Navigation, T: FloatArray) -> Navigation:
     """The same in another frame: a similarity T (4, 4)."""
     keyframes, trajectory = navigation.keyframes, navigation.trajectory

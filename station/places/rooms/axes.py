@@ -20,9 +20,6 @@ TURNS = np.radians(np.arange(-4.0, 4.1, 0.5))  # of the axes by landmarks, tried
 NEAR_PLANES = 7  # of which the best counts
 LEAST_THIRD = 3  # landmarks: of fewer the median is any of them
 STRAIGHTENED = 3  # times: then it moves by less than a tenth of a degree
-MOST_PEAKS = 3
-ASKEW = np.radians(0.4)  # what is left of the error: bent maps have no one direction of walls
-SAME_TURN = np.radians(0.1)
 
 
 def wall_yaw(p: FloatArray, metre: float) -> float:
@@ -47,27 +44,16 @@ def plan_axes(R_ground_map: FloatArray, p_map: FloatArray, metre: float) -> Floa
     return yaw_rotation(-(yaw if yaw <= np.pi / 4 else yaw - np.pi / 2)) @ R_ground_map
 
 
-def turns_to_walls(seen: Seen, model: WallModel) -> list[float]:
-    """Rad, among TURNS: turns of the axes in which the planes show the longest walls, and those stand straight.
+def turn_to_walls(seen: Seen, model: WallModel) -> float:
+    """Rad, among TURNS: the turn of the axes in which the planes show the longest walls, and those stand straight.
 
-    Furniture stands askew and bare walls show few landmarks; but no sight passes a wall in its own direction. The
-    likeliest comes first; where furniture shows more than the walls, another may explain the whole flat better.
+    Furniture stands askew and bare walls show few landmarks; but no sight passes a wall in its own direction.
     """
     walls = [_longest_walls(seen.turned(turn), model) for turn in TURNS]
     if not any(walls):
-        return [0.0]
-    worth = np.array([sum(wall.weight**2 for wall in found) for found in walls])  # a few long ones, not many short
-    is_peak = (worth > 0) & (worth == ndimage.maximum_filter1d(worth, 3))
-    peaks = [k for k in np.argsort(-worth, kind="stable").tolist() if is_peak[k]][:MOST_PEAKS]
-    straight = [_straightened(seen, float(TURNS[k]), model) for k in peaks]
-    turns: list[float] = []
-    for turn in np.clip([*straight, straight[0] - ASKEW, straight[0] + ASKEW], TURNS[0], TURNS[-1]).tolist():
-        if all(abs(turn - other) > SAME_TURN for other in turns):
-            turns.append(turn)
-    return turns
-
-
-def _straightened(seen: Seen, turn: float, model: WallModel) -> float:
+        return 0.0
+    k = int(np.argmax([sum(wall.weight**2 for wall in found) for found in walls]))  # a few long ones, not many short
+    turn = float(TURNS[k])
     for _ in range(STRAIGHTENED):
         turned = seen.turned(turn)
         askew = _askew(turned, _longest_walls(turned, model))

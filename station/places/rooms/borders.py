@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from shared.geometry import FloatArray, IntArray
 from station.places.rooms.rectangles import Rectangle
-from station.places.rooms.sides import Sides, gaps_of
-from station.places.rooms.surfaces import DOOR_PIECES, LINE_M, PIECE_M, SIDES, Surfaces
+from station.places.rooms.sides import DOOR_PIECES, Sides, gaps_of
+from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Surfaces
+from station.places.rooms.wall_model import WallModel
 
 THICK_M = 0.35  # a wall at most, and errors of both its faces
 PASSED = -1e4  # nats for a wall where the body was, in sums
@@ -49,7 +50,9 @@ def settled(rectangles: Sequence[Rectangle], surfaces: Surfaces) -> FloatArray:
     return out
 
 
-def find_borders(rectangles: Sequence[Rectangle], edges: FloatArray, surfaces: Surfaces, sides: Sides) -> Borders:
+def find_borders(
+    rectangles: Sequence[Rectangle], edges: FloatArray, surfaces: Surfaces, sides: Sides, model: WallModel
+) -> Borders:
     """How every two rectangles side by side belong together. `edges`: where they settled."""
     joined, passages, lead = [], [], {}
     for (a, first), (b, second), axis in _neighbours(rectangles):
@@ -59,8 +62,7 @@ def find_borders(rectangles: Sequence[Rectangle], edges: FloatArray, surfaces: S
             own = r.pieces(axis)
             part = slice(max(own.start, low), min(own.stop, high))
             odds[part.start - low : part.stop - low] += sides.odds[axis, sign][r.plane((axis, sign)), part]
-        faces = np.array([second.plane((axis, 1)), first.plane((axis, -1))])  # the frame shows in either
-        odds_of_wall, doors = wall_with_doors(odds, sides.doors[axis].of(faces, slice(low, high)).min(axis=0))
+        odds_of_wall, doors = wall_with_doors(odds, model)
         lead[a, b] = abs(odds_of_wall)
         if odds_of_wall <= 0:
             joined.append((a, b))
@@ -74,38 +76,54 @@ def find_borders(rectangles: Sequence[Rectangle], edges: FloatArray, surfaces: S
     return Borders(tuple(joined), lead, tuple(passages))
 
 
-def wall_with_doors(odds: FloatArray, cost: FloatArray) -> tuple[float, list[tuple[int, int]]]:
+def wall_with_doors(odds: FloatArray, model: WallModel) -> tuple[float, list[tuple[int, int]]]:
     """Nats for a wall against nothing at all, and where its doors begin and end: the likeliest of all ways.
 
     Between two doors is at least as much wall as a door is wide: a cupboard in an opening does not make two of it.
 
     Args:
         odds: (pieces,) for a wall, minus infinity where the body passed.
-        cost: (pieces, DOOR_PIECES) of a door that begins with a piece and is so wide.
     """
     wall = np.concatenate([[0.0], np.cumsum(np.maximum(odds, PASSED))])  # all that is before a piece
     # Of a wall up to a piece, less all of it: the doors that it has, the last of which may end so late.
     best: list[tuple[float, list[tuple[int, int]]]] = []
     for end in range(len(wall)):
         found = best[-1] if best else (0.0, [])
-        for width, pieces in enumerate(DOOR_PIECES):
+        for pieces in DOOR_PIECES:
             if pieces <= end:
                 before = best[max(end - pieces - DOOR_PIECES[0], 0)]
-                gained = before[0] - float(wall[end] - wall[end - pieces] + cost[end - pieces, width])
+                gained = before[0] - float(wall[end] - wall[end - pieces]) - model.door
                 if gained > found[0]:
                     found = gained, [*before[1], (end - pieces, end)]
         best.append(found)
     return float(wall[-1]) + best[-1][0], best[-1][1]
 
 
-def walls_of(rectangles: Sequence[Rectangle], edges: FloatArray, surfaces: Surfaces, sides: Sides) -> FloatArray:
-    """(W, 2, 2) m, the parts of all sides that are wall. `edges`: where they settled."""
+def walls_of(
+    rectangles: Sequence[Rectangle],
+    edges: FloatArray,
+    surfaces: Surfaces,
+    sides: Sides,
+    joined: Collection[tuple[int, int]],
+) -> FloatArray:
+    """(W, 2, 2) m, the parts of all sides that are wall, but for those between two that are one room.
+
+    Args:
+        edges: where they settled.
+        joined: pairs of `Borders`.
+    """
+    is_wall = [[sides.is_wall[side][r.plane(side), r.pieces(side[0])].copy() for side in SIDES] for r in rectangles]
+    for (a, first), (b, second), axis in _neighbours(rectangles):
+        if (a, b) in joined:
+            low, high = _shared(first, second, axis)
+            for number, r, sign in ((a, first, -1), (b, second, 1)):
+                begin = r.pieces(axis).start
+                is_wall[number][SIDES.index((axis, sign))][low - begin : high - begin] = False
     segments = [
-        _line(surfaces, side[0], across, pieces.start + begin, pieces.start + end)
-        for r, its_edges in zip(rectangles, edges, strict=True)
-        for side, across in zip(SIDES, its_edges, strict=True)
-        for pieces in [r.pieces(side[0])]
-        for begin, end in gaps_of(~sides.is_wall[side][r.plane(side), pieces])
+        _line(surfaces, side[0], across, r.pieces(side[0]).start + begin, r.pieces(side[0]).start + end)
+        for r, its_edges, its_walls in zip(rectangles, edges, is_wall, strict=True)
+        for side, across, walls in zip(SIDES, its_edges, its_walls, strict=True)
+        for begin, end in gaps_of(~walls)
     ]
     return np.array(segments).reshape(-1, 2, 2)
 

@@ -13,11 +13,11 @@ from station.model.floor_plan import NO_ROOM, Door, FloorPlan, PlanEdits, Room
 from station.model.navigation import Navigation
 from station.model.place_map import Place
 from station.places.making.scale import ground_rotation
-from station.places.rooms.axes import plan_axes, turns_to_walls
+from station.places.rooms.axes import plan_axes, turn_to_walls
 from station.places.rooms.belonging import rooms_of_places
 from station.places.rooms.evidence import Ground, gather_evidence
 from station.places.rooms.identity import inherited, new_id, new_names
-from station.places.rooms.segments import Gate, Labels, Layout, Segments, lay_out, part_rooms
+from station.places.rooms.segments import Gate, Labels, Segments, part_rooms
 from station.places.rooms.surfaces import Seen, find_surfaces
 from station.places.rooms.wall_model import WallModel, wall_model
 
@@ -38,17 +38,8 @@ def make_floor_plan(
         previous: an earlier plan of the same home: its rooms keep their ids and names, and its axes stay.
         T_map_previous: (4, 4) carries the earlier plan's map frame into this one's, maybe with a scale; None: the same.
     """
-    model = wall_model()
-    if previous is not None:
-        T = T_map_previous
-        R = previous.R_ground_map if T is None else previous.R_ground_map @ rotation_of(T).T
-        return plan_along(R, navigation, places, model, edits, previous, T)
-    level, p = ground_rotation(navigation), navigation.landmarks.p_world
-    R = plan_axes(level, p[np.isfinite(p).all(axis=1)], 1.0)
-    axes = [yaw_rotation(turn) @ R for turn in turns_to_walls(Seen.of(navigation, R), model)]
-    layouts = [_layout(navigation, R, model) for R in axes]
-    best = int(np.argmax([layout.worth for layout in layouts]))
-    return _drawn(axes[best], layouts[best], navigation, places, model, edits, None, T_map_previous)
+    R = _axes(navigation, previous, T_map_previous)
+    return plan_along(R, navigation, places, wall_model(), edits, previous, T_map_previous)
 
 
 def plan_along(
@@ -61,30 +52,10 @@ def plan_along(
     T_map_previous: FloatArray | None = None,
 ) -> FloorPlan:
     """`make_floor_plan` where the axes (3, 3) and what walls look like are given."""
-    layout = _layout(navigation, R_ground_map, model)
-    return _drawn(R_ground_map, layout, navigation, places, model, edits, previous, T_map_previous)
-
-
-def _layout(navigation: Navigation, R_ground_map: FloatArray, model: WallModel) -> Layout:
-    """The same to the last bit, whether these axes were found now or are those of an earlier plan."""
-    return lay_out(find_surfaces(Seen.of(navigation, R_ground_map)), model)
-
-
-def _drawn(
-    R: FloatArray,
-    layout: Layout,
-    navigation: Navigation,
-    places: Sequence[Place],
-    model: WallModel,
-    edits: PlanEdits,
-    previous: FloorPlan | None,
-    T_map_previous: FloatArray | None,
-) -> FloorPlan:
-    """The plan of a layout along the axes R_ground_map (3, 3)."""
-    T = np.eye(4) if T_map_previous is None else T_map_previous
+    R, T = R_ground_map, np.eye(4) if T_map_previous is None else T_map_previous
     ground = gather_evidence(navigation, R)
     drawn, erased = (_carried(lines, R, previous, T_map_previous) for lines in (edits.doors_drawn, edits.doors_erased))
-    segments = part_rooms(ground, layout, model, drawn, erased)
+    segments = part_rooms(ground, find_surfaces(Seen.of(navigation, R)), model, drawn, erased)
     labels = segments.labels
     rooms = _rooms(ground, segments, navigation.id, edits, previous, T)
     plan = FloorPlan(
@@ -99,6 +70,16 @@ def _drawn(
         walls=segments.walls,
     )
     return replace(plan, room_of_place=rooms_of_places(plan, navigation, places))
+
+
+def _axes(navigation: Navigation, previous: FloorPlan | None, T: FloatArray | None) -> FloatArray:
+    """R_ground_map (3, 3): along the walls, and turned as the previous plan is."""
+    if previous is not None:
+        return previous.R_ground_map if T is None else previous.R_ground_map @ rotation_of(T).T
+    level = ground_rotation(navigation)
+    p = navigation.landmarks.p_world
+    R = plan_axes(level, p[np.isfinite(p).all(axis=1)], 1.0)
+    return yaw_rotation(turn_to_walls(Seen.of(navigation, R), wall_model())) @ R
 
 
 def _carried(

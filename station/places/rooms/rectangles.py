@@ -9,23 +9,21 @@ A room of another shape is several rectangles: what lies open between them joins
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage, sparse
+from scipy import sparse
 from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
 from shared.geometry import FloatArray, IntArray
 from station.places.rooms.lengths import WALL_M
-from station.places.rooms.sides import Doors, Sides, best_runs
+from station.places.rooms.sides import Sides, best_runs
 from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Side, Surfaces
 from station.places.rooms.wall_model import WallModel
 from station.places.space.space import Cells
 
 MOST_PLANES = 20  # for each of the four sides: the strongest
 MOST_OPEN = 8  # ... and, for open ones, the strongest of the opposite side
-MOST_FRAMED = 8  # ... and, for bare ones, those that show most of a door's frame
 LEAST_M = 0.9  # a robot drives into nothing narrower
 PRICE_M = PIECE_M  # between the points of the ground that have a price: what lies between two may be two rooms'
 COLUMNS = 12  # new rectangles of a round
@@ -72,45 +70,35 @@ class Packed:
 
     rectangles: tuple[Rectangle, ...]
     lead: tuple[float, ...]  # nats: of this set before the best one without this rectangle or one nearly the same
-    worth: float  # nats
 
 
 def find_rectangles(surfaces: Surfaces, sides: Sides, model: WallModel) -> Packed:
     """The best set of rectangles that the body entered."""
     walls = {side: strongest_planes(sides.odds[side], MOST_PLANES) for side in SIDES}
     # An open side shows no wall: it begins where another rectangle's wall ends.
-    opposite = {(axis, sign): walls[axis, -sign][:MOST_OPEN] for axis, sign in SIDES}
-    framed = {axis: framed_planes(sides.doors[axis], model) for axis in (0, 1)}  # of walls that show nothing else
-    planes = [functools.reduce(np.union1d, (walls[side], opposite[side], framed[side[0]])) for side in SIDES]
+    opposite = {(axis, sign): strongest_planes(sides.odds[axis, -sign], MOST_OPEN) for axis, sign in SIDES}
+    planes = [np.union1d(walls[side], opposite[side]) for side in SIDES]
     if not all(len(found) for found in planes):
-        return Packed((), (), 0.0)
+        return Packed((), ())
     return _packed(_Choices(planes, _scores(surfaces, sides, model, planes)), surfaces)
 
 
 def strongest_planes(odds: FloatArray, most: int) -> IntArray:
-    """Numbers of the planes with the likeliest walls, the strongest first.
+    """Numbers of the planes with the likeliest walls.
 
     Of planes nearer to each other than a wall is thick each stretch of landmarks counts on the best one only.
     """
     left = odds.copy()
     reach = round(WALL_M / LINE_M)
     strength, begin, end = best_runs(left)
-    found: dict[int, None] = {}
+    found: set[int] = set()
     while len(found) < most and strength.max() > 0:
         k = int(strength.argmax())
-        found[k] = None
+        found.add(k)
         left[max(k - reach, 0) : k + reach + 1, begin[k] : end[k]] = -np.inf
         near = slice(max(k - 2 * reach, 0), k + 2 * reach + 1)
         strength[near], begin[near], end[near] = best_runs(left[near])
-    return np.array(list(found), dtype=np.int64)
-
-
-def framed_planes(doors: Doors, model: WallModel) -> IntArray:
-    """Numbers of the planes that show most of a door's frame; of planes beside each other the one that shows most."""
-    cost = doors.least()
-    is_least = (cost < model.door) & (cost == ndimage.minimum_filter1d(cost, 2 * round(WALL_M / LINE_M) + 1))
-    found = np.flatnonzero(is_least & ~np.concatenate([[False], is_least[:-1]]))
-    return found[np.argsort(cost[found], kind="stable")[:MOST_FRAMED]]
+    return np.array(sorted(found), dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,7 +184,7 @@ def _packed(choices: _Choices, surfaces: Surfaces) -> Packed:
     for k in chosen:
         others = np.array([columns[k].overlap(r) <= SAME for r in columns])
         lead.append(best - sum(score[other] for other in packing.chosen(others)))
-    return Packed(tuple(columns[k] for k in chosen), tuple(lead), best)
+    return Packed(tuple(columns[k] for k in chosen), tuple(lead))
 
 
 def _most_gainful(choices: _Choices, gain: FloatArray, known: set[Rectangle]) -> list[int]:

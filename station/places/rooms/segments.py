@@ -46,12 +46,13 @@ class Segments:
 
 def part_rooms(
     ground: Ground,
-    layout: Layout,
+    surfaces: Surfaces | None,
     model: WallModel,
     drawn: Sequence[FloatArray],
     erased: Sequence[FloatArray],
 ) -> Segments:
     """Rooms that were entered; lines (2, 2) drawn by a person part them, doors erased by a person do not."""
+    layout = _lay_out(surfaces, model)
     is_erased = [any(_is_same(p.ends * ground.unit, line) for line in erased) for p in layout.passages]
     gone = [(p.a, p.b) for p, is_none in zip(layout.passages, is_erased, strict=True) if is_none]
     room_of = _rooms_of(len(layout.edges), [*layout.joined, *gone])
@@ -70,7 +71,7 @@ def part_rooms(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Layout:
+class _Layout:
     """Rectangles, and what lies between them. Lengths are metres on the ground."""
 
     edges: FloatArray  # (n, 4) of the rectangles
@@ -78,25 +79,24 @@ class Layout:
     passages: tuple[Passage, ...]
     leads: tuple[tuple[int, float], ...]  # nats: of what was decided about a rectangle before the contrary
     walls: FloatArray  # (W, 2, 2)
-    worth: float  # nats
 
 
-def lay_out(surfaces: Surfaces | None, model: WallModel) -> Layout:
+def _lay_out(surfaces: Surfaces | None, model: WallModel) -> _Layout:
     """The likeliest rectangles; none without evidence."""
     if surfaces is None:
-        return Layout(np.zeros((0, 4)), (), (), (), np.zeros((0, 2, 2)), 0.0)
+        return _Layout(np.zeros((0, 4)), (), (), (), np.zeros((0, 2, 2)))
     sides = weigh_sides(surfaces, model)
     packed = find_rectangles(surfaces, sides, model)
     edges = settled(packed.rectangles, surfaces)
-    borders = find_borders(packed.rectangles, edges, surfaces, sides)
+    borders = find_borders(packed.rectangles, edges, surfaces, sides, model)
     unseen = _passed_unseen(surfaces, sides, packed.rectangles, edges, borders.passages)
     passages = (*borders.passages, *unseen)
     leads = (*enumerate(packed.lead), *((k, lead) for pair, lead in borders.lead.items() for k in pair))
-    walls = walls_of(packed.rectangles, edges, surfaces, sides)
-    return Layout(edges, borders.joined, passages, leads, walls, packed.worth)
+    walls = walls_of(packed.rectangles, edges, surfaces, sides, borders.joined)
+    return _Layout(edges, borders.joined, passages, leads, walls)
 
 
-def _leads(layout: Layout, room_of: Sequence[int]) -> dict[int, float]:
+def _leads(layout: _Layout, room_of: Sequence[int]) -> dict[int, float]:
     """Label of each room as `_labels` gives them -> nats: the least lead of all that was decided about it."""
     if not len(layout.edges):
         return {1: 0.0}  # one room for want of evidence

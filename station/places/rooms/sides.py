@@ -5,31 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from shared.geometry import FloatArray, IntArray
-from station.places.rooms.surfaces import DOOR_PIECES, SIDES, Side, Surfaces
+from station.places.rooms.lengths import DOOR_M
+from station.places.rooms.surfaces import PIECE_M, SIDES, Side, Surfaces
 from station.places.rooms.wall_model import WallModel
 from station.places.space.space import Cells
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Doors:
-    """What a door costs that begins with a piece of a plane: of a building there are too many to keep all costs."""
-
-    frames: npt.NDArray[np.uint8]  # (planes, pieces, DOOR_PIECES) classes, as in `Surfaces`
-    cost: FloatArray  # (FRAME_CLASSES,)
-
-    def of(self, *index: IntArray | slice | int) -> FloatArray:
-        """Costs at an index of `frames`."""
-        return self.cost[self.frames[index]]
-
-    def least(self) -> FloatArray:
-        """(planes,) of any door in each plane."""
-        least = np.full(len(self.frames), np.inf)
-        for number, cost in enumerate(self.cost):
-            least = np.where((self.frames == number).any(axis=(1, 2)), np.minimum(least, cost), least)
-        return least
+DOOR_PIECES = range(round(DOOR_M[0] / PIECE_M) - 1, round(DOOR_M[1] / PIECE_M) + 2)  # either end may err by half of one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +20,6 @@ class Sides:
     """Log odds of walls on the planes of `Surfaces`, seen from either side."""
 
     odds: dict[Side, FloatArray]  # (planes, pieces) of a wall
-    doors: dict[int, Doors]  # for planes across each axis
     is_wall: dict[Side, Cells]  # (planes, pieces) the likeliest labels of whole planes
     total: dict[Side, FloatArray]  # (planes, pieces + 1) cumulated score of these labels
     area: FloatArray  # (2 X + 1, 2 Y + 1) cumulated score of the cells below a pair of planes
@@ -47,21 +29,19 @@ def weigh_sides(surfaces: Surfaces, model: WallModel) -> Sides:
     """Odds of all planes at once."""
     table = np.array(model.wall)
     odds = {side: np.where(surfaces.passed[side[0]], -np.inf, table[surfaces.classes[side]]) for side in SIDES}
-    cost = model.door - model.frame_weight * np.array(model.frame)
-    doors = {axis: Doors(frames, cost) for axis, frames in surfaces.frames.items()}
     is_wall, total = {}, {}
     for side in SIDES:
-        is_wall[side] = likeliest_walls(odds[side], doors[side[0]], model)
-        score = score_of(is_wall[side], odds[side], doors[side[0]], model)
+        is_wall[side] = likeliest_walls(odds[side], model)
+        score = score_of(is_wall[side], odds[side], model)
         total[side] = np.concatenate([np.zeros((len(score), 1)), np.cumsum(score, axis=1)], axis=1)
     cells = model.area_weight * np.array(model.area)[surfaces.area_classes]
     quarters = np.repeat(np.repeat(cells, 2, axis=0), 2, axis=1) / 4  # planes lie in the middle of cells, too
     area = np.zeros((quarters.shape[0] + 1, quarters.shape[1] + 1))
     area[1:, 1:] = quarters.cumsum(axis=0).cumsum(axis=1)
-    return Sides(odds, doors, is_wall, total, area)
+    return Sides(odds, is_wall, total, area)
 
 
-def likeliest_walls(odds: FloatArray, doors: Doors, model: WallModel) -> Cells:
+def likeliest_walls(odds: FloatArray, model: WallModel) -> Cells:
     """(planes, pieces) the best sequence of wall and gaps (Viterbi); a door may be a gap of the usual widths."""
     n, count = odds.shape
     wall = np.full((n, count + 1), -np.inf)  # best score so far that ends with a wall before piece j
@@ -70,9 +50,9 @@ def likeliest_walls(odds: FloatArray, doors: Doors, model: WallModel) -> Cells:
     came = np.zeros((n, count + 1), dtype=np.int64)  # how many pieces of gap lie before the wall: 0, a door, or -1
     opened = np.zeros((n, count + 1), dtype=np.bool_)
     for j in range(1, count + 1):
-        begin = [max(j - 1 - d, 0) for d in DOOR_PIECES]
-        behind_doors = (wall[:, k] - doors.of(slice(None), k, width) for width, k in enumerate(begin))
-        before = np.stack([wall[:, j - 1], gap[:, j - 1], *behind_doors])
+        before = np.stack(
+            [wall[:, j - 1], gap[:, j - 1], *(wall[:, max(j - 1 - d, 0)] - model.door for d in DOOR_PIECES)]
+        )
         before[2:][np.array(DOOR_PIECES) > j - 1] = -np.inf
         best = before.argmax(axis=0)
         came[:, j] = np.array([0, -1, *DOOR_PIECES])[best]
@@ -98,24 +78,22 @@ def _traced(ends_with_wall: Cells, came: IntArray, opened: Cells) -> Cells:
     return is_wall
 
 
-def score_of(is_wall: Cells, odds: FloatArray, doors: Doors, model: WallModel) -> FloatArray:
+def score_of(is_wall: Cells, odds: FloatArray, model: WallModel) -> FloatArray:
     """(planes, pieces) what labels gain or cost; all pieces of a gap bear its cost, also for sides that end in it."""
     edges = np.diff(np.pad(~is_wall, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     (row, begin), (_, end) = np.nonzero(edges == 1), np.nonzero(edges == -1)
-    share = gap_costs(row, begin, end, doors, model) / (end - begin)
+    share = gap_costs(end - begin, model) / (end - begin)
     steps = np.zeros(edges.shape)
     steps[row, begin] = share
     steps[row, end] = -share
     return np.where(is_wall, odds, -steps.cumsum(axis=1)[:, :-1])
 
 
-def gap_costs(plane: IntArray, begin: IntArray, end: IntArray, doors: Doors, model: WallModel) -> FloatArray:
-    """(n,) of gaps in planes from one piece to another (n,)."""
-    pieces = end - begin
+def gap_costs(pieces: IntArray, model: WallModel) -> FloatArray:
+    """(n,) of gaps of so many pieces."""
     cost = model.gap + model.gap_piece * pieces
-    width = np.clip(pieces - DOOR_PIECES[0], 0, len(DOOR_PIECES) - 1)
-    as_door = doors.of(plane, begin, width)
-    return np.asarray(np.where(np.isin(pieces, DOOR_PIECES), np.minimum(cost, as_door), cost))
+    is_door = np.isin(pieces, DOOR_PIECES)
+    return np.asarray(np.where(is_door, np.minimum(cost, model.door), cost))
 
 
 def gaps_of(is_wall: Cells) -> list[tuple[int, int]]:

@@ -4,8 +4,6 @@ A plane is a line on the ground, cut into short pieces. Of each piece we count t
 one side, and the sights that pass through it; and whether any sight reached the space before it, without which neither
 count says anything. A wall shows landmarks, or nothing, and no sight passes; a sight that ends on a landmark passes
 through everything before it, at whatever height: over a bed, not over a wall.
-
-A door in a bare wall shows its frame: landmarks one above the other to both sides of where the body passed.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ from shared.geometry import FloatArray, IntArray, yaw_rotation
 from station.model.navigation import Navigation
 from station.places.making.scale import units_per_metre
 from station.places.rooms.evidence import above_floor
-from station.places.rooms.lengths import DOOR_M, SKIRTING_M, WALL_M
+from station.places.rooms.lengths import SKIRTING_M, WALL_M
 from station.places.space.carving import FARTHEST_M, MAX_CELLS
 from station.places.space.observed import Observed
 from station.places.space.sight import SECTORS
@@ -39,12 +37,6 @@ UNSEEN = 0  # the class of a piece of which nobody saw anything
 AREA_COUNTS = (0, 1, 4, 10, 30)
 DRIVEN = len(AREA_COUNTS)
 AREA_CLASSES = len(AREA_COUNTS) + 1
-DOOR_PIECES = range(round(DOOR_M[0] / PIECE_M) - 1, round(DOOR_M[1] / PIECE_M) + 2)  # either end may err by half of one
-STOREY_M = 0.3  # landmarks in several storeys of a post stand one above the other
-STOREYS = 8
-MOST_STOREYS = 3  # furniture shows fewer; more do not say more
-NOT_PASSED = 0  # the class of a door that the body did not pass: what stands beside it says nothing
-FRAME_CLASSES = MOST_STOREYS + 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +44,6 @@ class Seen:
     """What a navigation saw, as seen from above. Lengths are metres on the ground."""
 
     p: FloatArray  # (n, 2) landmarks, but for those on the floor
-    height: FloatArray  # (n,) of each above the floor
     towards: FloatArray  # (n, 2) to where each was seen from
     sights: FloatArray  # (k, 4) from x, y to x, y: nothing stood between
     path: FloatArray  # (m, 2) of the body
@@ -67,16 +58,16 @@ class Seen:
         path = path[np.isfinite(path).all(axis=1)]
         path = path if len(path) else eyes[np.isfinite(eyes).all(axis=1), :2]
         stands = np.isfinite(p).all(axis=1)
-        height = above_floor(p[:, 2]) if stands.any() else p[:, 2]
-        stands &= height > SKIRTING_M
+        if stands.any():
+            stands &= above_floor(p[:, 2]) > SKIRTING_M
         towards = _towards_observers(seen, p, eyes)
-        return cls(p[stands, :2], height[stands], towards[stands], _sights(seen, p, eyes), path)
+        return cls(p[stands, :2], towards[stands], _sights(seen, p, eyes), path)
 
     def turned(self, yaw: float) -> Seen:
         """In other axes: rad."""
         R = yaw_rotation(yaw)[:2, :2].T
         sights = np.column_stack([self.sights[:, :2] @ R, self.sights[:, 2:] @ R])
-        return Seen(self.p @ R, self.height, self.towards @ R, sights, self.path @ R)
+        return Seen(self.p @ R, self.towards @ R, sights, self.path @ R)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,9 +80,6 @@ class Surfaces:
     area_classes: npt.NDArray[np.intp]  # (X, Y) of cells as wide as a piece: how many sights passed, or the body
     driven: Cells  # (X, Y) by the body
     passed: dict[int, Cells]  # for planes across each axis (planes, pieces): the body was there, so no wall is
-    # For planes across each axis (planes, pieces, DOOR_PIECES): of a door that begins with a piece and is so wide, what
-    # shows of its frame: one more than the storeys of the post that shows fewer, or NOT_PASSED.
-    frames: dict[int, npt.NDArray[np.uint8]]
 
 
 def find_surfaces(seen: Seen) -> Surfaces | None:
@@ -102,8 +90,7 @@ def find_surfaces(seen: Seen) -> Surfaces | None:
     driven = grid.cells(seen.path)
     area = np.where(driven, DRIVEN, _count_class(grid.passed(seen.sights), AREA_COUNTS))
     passed = {0: _within(driven), 1: _within(driven.T)}
-    frames = {axis: _frames(seen, grid, axis) for axis in (0, 1)}
-    return Surfaces(seen, grid.low, _piece_classes(seen, grid), area, driven, passed, frames)
+    return Surfaces(seen, grid.low, _piece_classes(seen, grid), area, driven, passed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,24 +114,6 @@ def _piece_classes(seen: Seen, grid: _Grid) -> dict[Side, npt.NDArray[np.intp]]:
         on = grid.landmarks_on(seen.p[sign * seen.towards[:, axis] > 0], axis)
         classes[axis, sign] = _class_of(on, crossed[axis], _looked_at(crossed[axis], sign))
     return classes
-
-
-def _frames(seen: Seen, grid: _Grid, axis: int) -> npt.NDArray[np.uint8]:
-    """(planes, pieces, DOOR_PIECES) as `Surfaces.frames`; a post stands within a piece of where the door ends."""
-    storeys = grid.storeys_on(seen.p, seen.height, axis)
-    around = np.pad(storeys, ((0, 0), (2, DOOR_PIECES[-1] + 1), (0, 0)))  # nothing stands beyond the grid
-    count = storeys.shape[1]
-    before = np.logical_or.reduce([around[:, k : k + count] for k in (0, 1, 2)]).sum(axis=2)
-    passed = np.zeros((len(storeys), count + DOOR_PIECES[-1] + 1), dtype=np.int64)
-    passed[:, 1 : count + 1] = grid.steps_through(seen.path, axis)
-    passed = passed.cumsum(axis=1)  # of all pieces before one
-    frames = np.empty((*before.shape, len(DOOR_PIECES)), dtype=np.uint8)
-    for k, pieces in enumerate(DOOR_PIECES):
-        behind = np.logical_or.reduce([around[:, pieces + j : pieces + j + count] for j in (1, 2, 3)]).sum(axis=2)
-        shown = 1 + np.minimum(np.minimum(before, behind), MOST_STOREYS)
-        is_passed = passed[:, pieces : pieces + count] > passed[:, :count]
-        frames[..., k] = np.where(is_passed, shown, NOT_PASSED)
-    return frames
 
 
 def _within(driven: Cells) -> Cells:
@@ -222,18 +191,6 @@ class _Grid:
         piece = np.floor((p[:, 1 - axis] - self.low[1 - axis]) / PIECE_M).astype(np.int64)
         return np.asarray(3 * ndimage.uniform_filter1d(self._counted(axis, plane, piece), 3, axis=0, mode="constant"))
 
-    def storeys_on(self, p: FloatArray, height: FloatArray, axis: int) -> Cells:
-        """(planes, pieces, storeys) which show a landmark (n, 2) within one and a half LINE_M of a plane."""
-        shape = (2 * self.shape[axis] + 1, self.shape[1 - axis], STOREYS)
-        plane = np.round((p[:, axis] - self.low[axis]) / LINE_M).astype(np.int64)
-        piece = np.floor((p[:, 1 - axis] - self.low[1 - axis]) / PIECE_M).astype(np.int64)
-        storey = np.minimum(height / STOREY_M, STOREYS - 1).astype(np.int64)
-        on = np.zeros(shape, dtype=np.bool_)
-        for step in (-1, 0, 1):
-            inside = (plane + step >= 0) & (plane + step < shape[0]) & (piece >= 0) & (piece < shape[1])
-            on[plane[inside] + step, piece[inside], storey[inside]] = True
-        return on
-
     def crossed(self, lines: FloatArray, axis: int) -> FloatArray:
         """(planes, pieces) how many of the lines (n, 4) pass through."""
         begin, end = lines[:, axis], lines[:, 2 + axis]
@@ -249,13 +206,10 @@ class _Grid:
 
     def driven_through(self, path: FloatArray, axis: int) -> Cells:
         """(planes, pieces) where the body passed, as wide as it is at least: a piece to each side."""
-        return np.asarray(ndimage.maximum_filter1d(self.steps_through(path, axis), 3, axis=1))
-
-    def steps_through(self, path: FloatArray, axis: int) -> Cells:
-        """(planes, pieces) where the body's middle passed."""
         steps = np.column_stack([path[:-1], path[1:]])
         steps = steps[np.hypot(*(steps[:, 2:] - steps[:, :2]).T) < BODY_LEAP_M]
-        return np.asarray(self.crossed(steps, axis) > 0)
+        through = self.crossed(steps, axis) > 0
+        return np.asarray(ndimage.maximum_filter1d(through, 3, axis=1))
 
     def passed(self, lines: FloatArray) -> FloatArray:
         """(X, Y) how often lines (n, 4) pass through a cell or one beside it."""

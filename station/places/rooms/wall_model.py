@@ -18,8 +18,6 @@ class WallModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     wall: tuple[float, ...]  # of each class of a piece: of a wall against anywhere in a room
     area: tuple[float, ...]  # of each class of a cell: in a room against outside
     area_weight: float  # neighbouring cells say nearly the same: what one counts, where a piece counts 1
-    frame: tuple[float, ...]  # of each class of a frame: of a door against anywhere that the body passed in a room
-    frame_weight: float  # of these odds, in what a piece counts
     door: float  # cost of a gap in a wall as wide as a door
     gap: float  # cost of any other gap
     gap_piece: float  # ... and of each piece of it

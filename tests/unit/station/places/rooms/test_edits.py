@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -82,14 +81,13 @@ def test_a_line_that_parts_nothing_is_refused(one_room: PlaceMap) -> None:
 
 def test_what_there_is_not_is_refused_by_name() -> None:
     flat = with_two_rooms(make_map())
-    refused: tuple[tuple[Callable[[], PlaceMap], str], ...] = (
+    for change, words in (
         (lambda: with_room_renamed(flat, "room-x", "Hall"), 'no room with id "room-x"'),
         (lambda: with_door_erased(flat, "door-x"), 'no door with id "door-x"'),
         (lambda: with_door_erased(flat, "door-k"), "nobody went through"),
         (lambda: with_rooms_merged(flat, ["room-l", "room-l"]), "two different rooms"),
         (lambda: with_room_renamed(make_map(), "room-l", "Hall"), "has no floor plan"),
-    )
-    for change, words in refused:
+    ):
         with pytest.raises(DataError, match=words):
             change()
 

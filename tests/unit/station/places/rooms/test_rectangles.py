@@ -10,20 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from station.places.rooms.borders import find_borders, settled, wall_with_doors
+from station.places.rooms.borders import find_borders, settled, wall_with_doors, walls_of
 from station.places.rooms.plan import plan_along
-from station.places.rooms.rectangles import (
-    MOST_FRAMED,
-    Packed,
-    Rectangle,
-    _Choices,
-    _packed,
-    find_rectangles,
-    framed_planes,
-)
+from station.places.rooms.rectangles import Packed, Rectangle, _Choices, _packed, find_rectangles
 from station.places.rooms.segments import _passed_unseen
-from station.places.rooms.sides import Doors, Sides, weigh_sides
-from station.places.rooms.surfaces import DOOR_PIECES, LINE_M, NOT_PASSED, PIECE_M, SIDES, Seen, Surfaces, find_surfaces
+from station.places.rooms.sides import DOOR_PIECES, Sides, weigh_sides
+from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Seen, Surfaces, find_surfaces
 from station.places.rooms.wall_model import wall_model
 from tests.support.flats import DOOR, ELL, TWO_ROOMS, WAY_OF_ELL, WAY_OF_TWO, Wall, navigate
 
@@ -36,11 +28,6 @@ def packed(walls: tuple[Wall, ...], way: tuple[tuple[float, float], ...]) -> tup
     assert surfaces is not None
     sides = weigh_sides(surfaces, wall_model())
     return surfaces, sides, find_rectangles(surfaces, sides, wall_model())
-
-
-def doors_of(odds: np.ndarray) -> np.ndarray:
-    """What doors cost anywhere in a border of which no frame shows."""
-    return np.full((len(odds), len(DOOR_PIECES)), wall_model().door)
 
 
 def test_two_rooms_are_two_rectangles_on_their_walls() -> None:
@@ -80,7 +67,7 @@ def test_where_the_body_was_no_plane_is_a_wall() -> None:
     path = np.column_stack([along, np.full(81, 0.05)])
     p = np.column_stack([np.repeat(along, 3), np.full(243, 0.1)])
     sights = np.column_stack([np.full(81, 0.0), np.full(81, -1.0), along, np.full(81, 0.05)])
-    surfaces = find_surfaces(Seen(p, np.ones(243), np.tile([0.0, -1.0], (243, 1)), sights, path))
+    surfaces = find_surfaces(Seen(p, np.tile([0.0, -1.0], (243, 1)), sights, path))
     assert surfaces is not None
     is_wall = weigh_sides(surfaces, wall_model()).is_wall[1, -1]
     planes = np.round((np.array([0.05, 0.1, 0.15]) - surfaces.low[1]) / LINE_M).astype(int)
@@ -88,47 +75,30 @@ def test_where_the_body_was_no_plane_is_a_wall() -> None:
     assert not is_wall[planes, begin:end].any()
 
 
-def test_a_frame_shows_where_landmarks_stand_over_each_other_to_both_sides_of_the_way() -> None:
-    way = np.column_stack([np.full(41, 0.45), np.linspace(-2.0, 2.0, 41)])
-    x, height = np.repeat([0.02, 0.92], 3), np.array([0.2, 0.5, 0.8, 0.2, 0.5, 0.9])
-    p = np.column_stack([x, np.zeros(6)])
-    sights = np.column_stack([np.tile([0.45, -1.0], (6, 1)), 0.9 * p])
-    seen = Seen(p, height, np.tile([0.0, -1.0], (6, 1)), sights, way)
-    one_low = replace(seen, height=np.array([0.2, 0.5, 0.8, 0.2, 0.25, 0.22]))
-    beside = replace(seen, path=way + np.array([2.0, 0.0]))
-    for flat, shown in ((seen, 4), (one_low, 2), (beside, NOT_PASSED)):
-        surfaces = find_surfaces(flat)
-        assert surfaces is not None
-        plane = round(-surfaces.low[1] / LINE_M)
-        begin = round(-surfaces.low[0] / PIECE_M)
-        assert surfaces.frames[1][plane, begin, DOOR_PIECES.index(9)] == shown
-
-
-def test_planes_with_a_frame_are_tried_the_best_of_those_beside_each_other() -> None:
-    """Of a bare wall nothing else shows."""
-    frames = np.full((40, 30, len(DOOR_PIECES)), NOT_PASSED, dtype=np.uint8)
-    frames[10:13, 5, 2], frames[11, 5, 3], frames[30, 7, 1] = 3, 4, 4
-    doors = Doors(frames, wall_model().door - wall_model().frame_weight * np.array(wall_model().frame))
-    assert framed_planes(doors, wall_model()).tolist() == [11, 30]
-    frames[::4] = 3
-    assert len(framed_planes(doors, wall_model())) == MOST_FRAMED
-
-
 def test_a_wall_with_a_door_parts_two_rooms_and_an_open_side_does_not() -> None:
     surfaces, sides, found = packed(TWO_ROOMS, WAY_OF_TWO)
-    borders = find_borders(found.rectangles, settled(found.rectangles, surfaces), surfaces, sides)
+    borders = find_borders(found.rectangles, settled(found.rectangles, surfaces), surfaces, sides, wall_model())
     assert not borders.joined
     (door,) = borders.passages
     assert np.abs(door.ends.mean(axis=0) - DOOR).max() < 0.1
     surfaces, sides, found = packed(ELL, WAY_OF_ELL)
-    borders = find_borders(found.rectangles, settled(found.rectangles, surfaces), surfaces, sides)
+    borders = find_borders(found.rectangles, settled(found.rectangles, surfaces), surfaces, sides, wall_model())
     assert len(borders.joined) >= len(found.rectangles) - 1
+
+
+def test_no_wall_is_drawn_between_two_rectangles_that_are_one_room() -> None:
+    surfaces, sides, found = packed(ELL, WAY_OF_ELL)
+    edges = settled(found.rectangles, surfaces)
+    walls = walls_of(found.rectangles, edges, surfaces, sides, ((0, 1),))
+    middles = walls.mean(axis=1)
+    inside = (middles > 0.05).all(axis=1) & (middles < 2.45).any(axis=1) & (middles < 2.8).all(axis=1)
+    assert len(found.rectangles) == 2 and len(walls) and not inside.any()
 
 
 def test_a_border_passed_in_one_place_has_a_door_there() -> None:
     odds = np.full(30, 2.0)
     odds[12:20] = -np.inf
-    nats, ((begin, end),) = wall_with_doors(odds, doors_of(odds))
+    nats, ((begin, end),) = wall_with_doors(odds, wall_model())
     assert nats > 0.0
     assert begin <= 12 and end >= 20
 
@@ -136,7 +106,7 @@ def test_a_border_passed_in_one_place_has_a_door_there() -> None:
 def test_two_doors_with_a_wall_between_are_two_doors() -> None:
     odds = np.full(90, 2.0)
     odds[10:19] = odds[60:70] = -np.inf
-    nats, doors = wall_with_doors(odds, doors_of(odds))
+    nats, doors = wall_with_doors(odds, wall_model())
     assert nats > 0.0
     (first, second) = doors
     assert first[0] <= 10 and 19 <= first[1] < second[0] <= 60 and second[1] >= 70
@@ -146,7 +116,7 @@ def test_a_border_passed_in_two_places_is_an_opening_though_a_cupboard_stands_be
     """Two doors side by side between the same rooms are none."""
     odds = np.full(30, 2.0)
     odds[3:9] = odds[13:20] = -np.inf
-    assert wall_with_doors(odds, doors_of(odds))[0] < 0.0
+    assert wall_with_doors(odds, wall_model())[0] < 0.0
 
 
 @pytest.mark.parametrize("x_m", [3.4, 4.1])
@@ -159,7 +129,7 @@ def test_a_door_nobody_saw_is_in_the_wall_beside_it_not_half_way_to_a_cupboards_
     odds = {side: np.zeros(surfaces.classes[side].shape) for side in SIDES}
     for side in SIDES[:2]:
         odds[side][round((x_m - surfaces.low[0]) / LINE_M)] = 2.0
-    sides = Sides(odds, {}, {}, {}, np.zeros((0, 0)))
+    sides = Sides(odds, {}, {}, np.zeros((0, 0)))
     (passage,) = _passed_unseen(surfaces, sides, rectangles, edges, ())
     assert passage.ends.mean(axis=0) == pytest.approx([x_m, DOOR[1]], abs=0.05)
 
@@ -178,25 +148,25 @@ def test_a_path_whose_first_step_leads_into_another_room_has_a_door_there() -> N
 
 @given(st.lists(st.floats(-6.0, 4.0), min_size=1, max_size=40))
 def test_walls_and_doors_are_the_best_of_all_ways(odds: list[float]) -> None:
-    costs = np.random.default_rng(len(odds)).uniform(-4.0, 20.0, (len(odds), len(DOOR_PIECES)))
+    model = wall_model()
 
     def best(begin: int) -> float:
         """Of what is behind a piece, where a door may begin."""
         tried = [sum(odds[begin:])]
         for at in range(begin, len(odds)):
-            for width, pieces in enumerate(DOOR_PIECES):
+            for pieces in DOOR_PIECES:
                 if (end := at + pieces) <= len(odds):
                     rest = sum(odds[end:])
                     after = end + DOOR_PIECES[0]
                     if after < len(odds):
                         rest = max(rest, sum(odds[end:after]) + best_from[after])
-                    tried.append(sum(odds[begin:at]) - costs[at, width] + rest)
+                    tried.append(sum(odds[begin:at]) - model.door + rest)
         return max(tried)
 
     best_from: dict[int, float] = {}
     for begin in reversed(range(len(odds))):
         best_from[begin] = best(begin)
-    assert wall_with_doors(np.array(odds), costs)[0] == pytest.approx(best_from[0], abs=1e-6)
+    assert wall_with_doors(np.array(odds), model)[0] == pytest.approx(best_from[0], abs=1e-6)
 
 
 def test_a_room_is_as_sure_as_its_set_is_ahead_of_the_best_one_without_it() -> None:
