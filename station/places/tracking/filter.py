@@ -90,9 +90,7 @@ def weigh(
     found = before.lost * image.one_is_right * image.share  # (C,) weight: it was lost, and is there
     hypotheses = []
     for i, h in enumerate(before.hypotheses):
-        h = replace(h, weight=h.weight * image.at[i])
-        if image.alike:
-            h = replace(h, weight=max(h.weight, image.least[i]), alike=image.alike[i])
+        h = replace(h, weight=h.weight * image.at[i], alike=image.alike[i])
         correction = image.corrects[i]
         if correction is not None and not (correction.fit.slipped and image.expected_by[correction.candidate] != i):
             if correction.fit.slipped:
@@ -103,13 +101,9 @@ def weigh(
             )
         gained = float(found[[expecting == i for expecting in image.expected_by]].sum())
         hypotheses.append(replace(h, weight=h.weight + gained))
-    for j, (m, weight, by) in enumerate(zip(image.candidates, found, image.expected_by, strict=True)):
+    for m, weight, by in zip(image.candidates, found, image.expected_by, strict=True):
         if by is None:
-            started = Hypothesis.started(m, T_nav_body, float(weight), image.counted_log_odds, next(numbers))
-            if image.alike_new:
-                weight = max(float(weight), float(image.least_new[j]))
-                started = replace(started, weight=weight, alike=image.alike_new[j])
-            hypotheses.append(started)
+            hypotheses.append(Hypothesis.started(m, T_nav_body, float(weight), image.counted_log_odds, next(numbers)))
     return Belief(tuple(hypotheses), before.lost * image.lost, before.unmapped * image.unmapped)
 
 

@@ -83,12 +83,7 @@ class ImageLikelihood:
     corrects: Sequence[Correction | None] = ()  # (H,) None: by no candidate
     expected_by: Sequence[int | None] = ()  # (C,) the hypothesis that a candidate fits; None: it is a new one
     counted_log_odds: float = 0.0  # how much the image counts for what it recognises
-    # Of what looks alike (`twins.py`): what each hypothesis has in common with others, and its least weight, (H,) ...
-    alike: Sequence[Alike] = ()
-    least: Sequence[float] = ()
-    # ... and of a new one at each candidate, (C,).
-    alike_new: Sequence[Alike] = ()
-    least_new: FloatArray = field(default_factory=lambda: np.zeros(0))
+    alike: Sequence[Alike] = ()  # (H,) what each hypothesis has in common with others after the image (`twins.py`)
 
 
 class ImageEvidence:
@@ -140,8 +135,8 @@ class ImageEvidence:
         twins = Twins(before.hypotheses, fits, share, large, freshness)
         at *= twins.tempering
         density *= twins.tempering[:, None]
-        fails = [1.0] * len(before.hypotheses)  # asked only where anything looks alike: it costs a while
-        if any(h.alike.both for h in before.hypotheses):
+        fails = [1.0] * len(before.hypotheses)  # asked only where it matters: it costs a while
+        if twins.fits_one_of_alike:
             fails = self._failures(before, figures[0].features, T_nav_body @ aim.T_body_head)
         factors: list[float] = []
         corrects: list[Correction | None] = []
@@ -158,7 +153,7 @@ class ImageEvidence:
         likeliest = int(np.argmax(share))
         strayed = self._rarer(figures[likeliest]) if expected_by[likeliest] is None else false
         return ImageLikelihood(
-            at=factors,
+            at=twins.levelled(factors, alike),
             lost=(false * repeated) ** freshness,
             unmapped=(strayed * repeated) ** freshness,
             candidates=candidates,
@@ -168,9 +163,6 @@ class ImageEvidence:
             expected_by=expected_by,
             counted_log_odds=freshness * max(0.0, worth),
             alike=alike,
-            least=twins.least_weights(factors, alike),
-            alike_new=twins.started(),
-            least_new=twins.new_weights(factors, expected_by),
         )
 
     def measured(self, z: Localization, aim: Aim = AHEAD) -> PoseMeasurement:
@@ -298,7 +290,13 @@ class ImageEvidence:
         factors = [at**freshness for at in failures]
         nowhere = failure_probability(c.fitted.fails_unmapped, num_features, failed_before)
         return ImageLikelihood(
-            factors, somewhere**freshness, nowhere**freshness, corrects=(None,) * len(before.hypotheses)
+            factors,
+            somewhere**freshness,
+            nowhere**freshness,
+            corrects=(None,) * len(before.hypotheses),
+            alike=[
+                h.alike.and_failed(at / somewhere, freshness) for h, at in zip(before.hypotheses, failures, strict=True)
+            ],
         )
 
     def _failures(

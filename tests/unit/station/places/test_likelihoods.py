@@ -104,7 +104,9 @@ def test_an_image_that_fails_before_a_cupboard_says_little_against_where_the_rob
     def fails(x: float) -> float:
         m = evidence.measured(seen(0.0, pose(x, 2.0)))
         belief = Belief((Hypothesis.started(m, np.eye(4), 1.0, 0.0, 1),), 0.0, 0.0)
-        return evidence.of_failure(400, 0.0, belief, np.eye(4), 1.0).at[0]
+        image = evidence.of_failure(400, 0.0, belief, np.eye(4), 1.0)
+        assert image.alike[0].log_failed == pytest.approx(np.log(image.at[0] / image.lost))
+        return image.at[0]
 
     assert fails(0.8) < 0.2 and fails(-0.5) > 0.4
 
