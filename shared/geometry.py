@@ -203,17 +203,12 @@ def pose(t: FloatArray, q_wxyz: FloatArray) -> FloatArray:
 
 def poses(t: FloatArray, q_wxyz: FloatArray) -> FloatArray:
     """Poses (N, 4, 4) out of a file, to the last bit those of `pose`: positions (N, 3), quaternions (N, 4)."""
-    length = np.sqrt(np.matmul(q_wxyz[:, None, :], q_wxyz[:, :, None])[:, 0])  # (N, 1)
-    fits = np.isfinite(t).all(axis=1) & (np.abs(length[:, 0] - 1.0) < MAX_QUAT_ERROR)
+    fits = np.isfinite(t).all(axis=1) & (np.abs(_lengths(q_wxyz)[:, 0] - 1.0) < MAX_QUAT_ERROR)
     if not fits.all():
         first = int(np.argmin(fits))
         pose(t[first], q_wxyz[first])  # says what is wrong
-    w, x, y, z = (q_wxyz / length).T
     T = np.zeros((len(t), 4, 4))
-    T[:, 0, 0], T[:, 0, 1], T[:, 0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-    T[:, 1, 0], T[:, 1, 1], T[:, 1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-    T[:, 2, 0], T[:, 2, 1], T[:, 2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
-    T[:, :3, 3], T[:, 3, 3] = t, 1.0
+    T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = rotation_from_quat(q_wxyz), t, 1.0
     return T
 
 
@@ -225,15 +220,19 @@ def are_poses(T: FloatArray) -> bool:
 
 
 def rotation_from_quat(q_wxyz: FloatArray) -> FloatArray:
-    """Rotation (3, 3) of the quaternion wxyz (4,), which is normalised first."""
-    w, x, y, z = q_wxyz / np.linalg.norm(q_wxyz)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
+    """Rotations (..., 3, 3) of quaternions wxyz (..., 4), which are normalised first."""
+    w, x, y, z = np.moveaxis(q_wxyz / _lengths(q_wxyz), -1, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _lengths(v: FloatArray) -> FloatArray:
+    """(..., 1) of vectors (..., n): to the last bit the same for one and for many."""
+    return np.sqrt(np.matmul(v[..., None, :], v[..., :, None])[..., 0])
 
 
 def yaw_rotation(yaw_rad: float) -> FloatArray:

@@ -37,7 +37,7 @@ class StateTable:
     def path(self) -> MotionHistory:
         """The states as a function of seconds since the first one."""
         t_s = (self.t_ns - self.t_ns[0]) * 1e-9
-        R = np.stack([rotation_from_quat(q) for q in self.values[:, 3:7]])
+        R = rotation_from_quat(self.values[:, 3:7])
         v = self.values[:, 7:10]
         a, omega = np.gradient(v, t_s, axis=0), np.zeros_like(v)
         for i in range(len(R)):
