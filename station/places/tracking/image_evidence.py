@@ -127,9 +127,9 @@ class ImageEvidence:
         again = c.deceived_again
         worth = float(np.log((1 - false) / (false * again)))  # log odds, for a hypothesis that it fits
         expected_by = [_expected_by(fits, j) for j in range(len(candidates))]
-        freshness = self._novelty(candidates, figures, before, expected_by, share, worth)
         expecting = [None if i is None else before.hypotheses[i] for i in expected_by]
         together = [self._odds_together(*of_one) for of_one in zip(candidates, figures, expecting, strict=True)]
+        freshness = self._novelty(candidates, together, before, expecting, share, worth)
         surely = np.log(1 / c.false_localization_floor - 1)  # no look-alike furniture is as large
         large = np.exp(np.minimum(np.array(together) - surely, 0.0))
         twins = Twins(before.hypotheses, fits, share, large, freshness)
@@ -227,33 +227,32 @@ class ImageEvidence:
     def _novelty(
         self,
         candidates: Sequence[PoseMeasurement],
-        figures: Sequence[MatchFigures],
+        together: Sequence[float],
         before: Belief,
-        expected_by: Sequence[int | None],
+        expecting: Sequence[Hypothesis | None],
         share: FloatArray,
         image_worth: float,
     ) -> float:
         """0..1: the share of the landmarks that an image recognises and no hypothesis did lately.
 
         While all that a hypothesis recognised is small enough for furniture that comes twice, the whole has a budget:
-        what is as large as it is worth, of which the image may count what was not counted yet. `image_worth`: what it
-        is worth by itself (log odds). Of several candidates those count that are probably true.
+        what is as large as it is worth (`together`, log odds), of which the image may count what was not counted yet.
+        `image_worth`: what it is worth by itself. Of several candidates those count that are probably true.
         """
         c = self.config
         surely = np.log(1 / c.false_localization_floor - 1)  # no look-alike is as large: images err one by one
         weight, novelty = [], []
-        for j, (m, expecting) in enumerate(zip(candidates, expected_by, strict=True)):
+        for m, h, odds, its_share in zip(candidates, expecting, together, share, strict=True):
             z = m.localization
-            h = None if expecting is None else before.hypotheses[expecting]
             # What any of them recognised is no news to this one: a look-alike's pose may scatter.
             new = max(self._recognised_before(before.hypotheses, m).share_of_new(z.landmarks), c.same_landmarks)
             had = NOTHING if h is None else self._recognised_before((h,), m)
-            worth = max(0.0, self._odds_together(m, figures[j], h))
+            worth = max(0.0, odds)
             worth -= float(np.log(c.deceived_again))  # as for the image alone: half of the look-alikes fit nothing
             if h is not None and had.seen and image_worth > 0 and worth < surely:
                 new = min(new, max(0.0, worth - h.counted_log_odds) / image_worth)
             novelty.append(new)
-            weight.append(share[j] * (before.lost if h is None else h.weight))
+            weight.append(its_share * (before.lost if h is None else h.weight))
         return float(np.clip(np.average(novelty, weights=np.array(weight) + 1e-12), 0.0, 1.0))
 
     def _odds_together(self, m: PoseMeasurement, figures: MatchFigures, h: Hypothesis | None) -> float:
