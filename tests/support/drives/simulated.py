@@ -80,6 +80,12 @@ def make_drives(kind: str, seed: int, misfit: Misfit, options: DriveOptions) -> 
     with spent.on("world"):
         flat = SimulatedFlat(kind, seed, misfit, options)
         left_out = "" if options.maps_all else room_left_out(flat.world)
+        plans = [  # before mapping, which takes minutes: not every world has twins
+            plan_twin_drive(flat.world, name, seed + number)
+            if options.maps_all
+            else plan_drive(flat.world, left_out, name, seed + number)
+            for number, name in enumerate(TWIN_PLANS if options.maps_all else options.plans)
+        ]
     empty = RecordedWorld(
         kind,
         str(seed),
@@ -102,12 +108,8 @@ def make_drives(kind: str, seed: int, misfit: Misfit, options: DriveOptions) -> 
     with spent.on("index"):
         localizer = Localizer([mapped.place_map])
     drives = []
-    for number, name in enumerate(TWIN_PLANS if options.maps_all else options.plans):
-        if options.maps_all:
-            plan = plan_twin_drive(flat.world, name, seed + number)
-        else:
-            plan = plan_drive(flat.world, left_out, name, seed + number)
-        with spent.on(name):
+    for number, plan in enumerate(plans):
+        with spent.on(plan.name):
             drives.append(flat.drive(plan, seed + 1 + number, localizer, mapped.quality.T_world_map, left_out))
     return replace(empty, place_map=mapped.place_map, quality=mapped.quality, truth=mapped.truth, drives=tuple(drives))
 
