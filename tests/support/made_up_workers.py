@@ -27,6 +27,7 @@ from station.model.place_answer import (
 from station.model.place_map import Grouping, PlaceMap
 from station.model.slam_update import SlamUpdate
 from station.places.making.changes import without_hidden
+from station.places.rooms.edits import require_plan
 from station.vision.features import Features
 from station.workers.place_interface import PlaceEvent, PlaceProgram
 from station.workers.request import Vectors
@@ -186,9 +187,7 @@ class OneOfTwoRooms(PlaceByLight):
 
     def answer(self, frame: ImageFrame) -> PlaceReport:
         report = super().answer(frame)
-        plan = self._maps[0].plan
-        assert plan is not None
-        two = zip(plan.rooms[:2], (0.5, 0.45), strict=True)
+        two = zip(require_plan(self._maps[0]).rooms[:2], (0.5, 0.45), strict=True)
         rooms = tuple(RoomCandidate(room.id, room.name, probability) for room, probability in two)
         return replace(
             report, answer=replace(report.answer, state="lost", place=None, room_alternatives=rooms, one_of_two=rooms)

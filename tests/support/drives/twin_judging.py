@@ -19,7 +19,7 @@ from station.model.place_map import PlaceMap
 from station.places.tracking.room_view import RoomView
 from tests.support.drives.judging import Share, right_places
 from tests.support.drives.playback import Played
-from tests.support.drives.recorded import LookedAt, RecordedDrive
+from tests.support.drives.recorded import RecordedDrive
 
 Said = Literal["right", "guess", "one of two", "nothing"]
 
@@ -43,25 +43,25 @@ def judge_twins(place_map: PlaceMap, drive: RecordedDrive, played: Played) -> Tw
     view = RoomView.of(place_map.plan)
     answers: list[TwinAnswer] = []
     if view is not None:
-        for since_s, image, answer in _in_twin(drive, played):
-            assert image.T_map_body is not None and image.T_map_twin is not None
-            p_map = image.T_map_body[:3, 3]
-            here, there = _rooms_at(view, p_map), _rooms_at(view, image.T_map_twin[:3, 3])
+        for since_s, p_map, p_twin, answer in _in_twin(drive, played):
+            here, there = _rooms_at(view, p_map), _rooms_at(view, p_twin)
             is_wrong = answer.place is not None and answer.place.id not in right_places(place_map, p_map)
             answers.append(TwinAnswer(since_s, *_said(answer, here, there), is_wrong))
     return TwinDrive(drive.name, tuple(answers))
 
 
-def _in_twin(drive: RecordedDrive, played: Played) -> Iterator[tuple[float, LookedAt, PlaceAnswer]]:
-    """Answers in the room that the robot was put down in, until it leaves, and how many seconds after."""
+def _in_twin(drive: RecordedDrive, played: Played) -> Iterator[tuple[float, FloatArray, FloatArray, PlaceAnswer]]:
+    """Answers in the room that the robot was put down in, until it leaves: seconds after, where (3,) it is there and in
+    the room's twin."""
     camera = drive.calibration.camera
     shift_ns = round(1e9 * camera.time_shift_s) if camera else 0
     for image, answer in played.answers:
         if drive.hijack is None or image.t_robot_ns + shift_ns < drive.hijack.put_down_ns:
             continue
-        if image.T_map_twin is None:
+        if image.T_map_body is None or image.T_map_twin is None:
             return
-        yield (image.t_robot_ns + shift_ns - drive.hijack.put_down_ns) / 1e9, image, answer
+        since_s = (image.t_robot_ns + shift_ns - drive.hijack.put_down_ns) / 1e9
+        yield since_s, image.T_map_body[:3, 3], image.T_map_twin[:3, 3], answer
 
 
 def _rooms_at(view: RoomView, p_map: FloatArray) -> set[str]:

@@ -86,26 +86,20 @@ def test_the_way_beyond_a_door_is_measured_in_the_room_left_out_only() -> None:
 @pytest.mark.parametrize("name", TWIN_PLANS)
 def test_where_no_room_is_left_out_the_robot_is_put_down_in_either_twin(name: str) -> None:
     world = make_world("lookalike", 2)
-    twins = twin_rooms(world)
-    assert twins is not None
-    plan = plan_twin_drive(world, name, 5)
-    assert plan.hijack is not None
-    put_down_in = world.room_at(*plan.hijack.target[:2])
-    assert put_down_in == world.rooms[twins[TWIN_PLANS.index(name) % 2]].name
+    twins = [world.rooms[k].name for k in twin_rooms(world) or ()]
+    hijack = plan_twin_drive(world, name, 5).hijack
+    assert hijack is not None and world.room_at(*hijack.target[:2]) == twins[TWIN_PLANS.index(name) % 2]
     assert rooms_on(mapping_route(world, "", 2).points, "lookalike", 2) == {r.name for r in world.rooms}
 
 
 def test_a_spot_in_one_twin_is_the_same_spot_of_the_other() -> None:
     world = make_world("lookalike", 2)
-    twins = twin_rooms(world)
-    assert twins is not None
-    first, second = (world.rooms[k] for k in twins)
+    first, second = (world.rooms[k] for k in twin_rooms(world) or ())
     spot = np.array([*first.centre, 0.1])
     other = spot_in_twin(world, spot)
     assert other is not None and world.room_at(*other[:2]) == second.name
     back = spot_in_twin(world, other)
-    assert back is not None
-    np.testing.assert_allclose(back, spot)
+    assert back is not None and back == pytest.approx(spot)
     assert spot_in_twin(world, np.array([*world.rooms[0].centre, 0.1])) is None
 
 

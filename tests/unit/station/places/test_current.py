@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from shared.calibration import REFERENCE_ROBOT
+from shared.calibration import REFERENCE_HEAD
 from shared.geometry import se3
 from shared.head import turned
 from station.motion.head import AHEAD, Aim
@@ -25,10 +25,8 @@ from tests.support.places import R_BODY_CAM, SECOND, estimator_of, make_map, pos
 def test_a_robot_whose_head_looks_aside_is_where_it_would_be_if_it_looked_ahead(
     pan: float, scale: float | None
 ) -> None:
-    head = REFERENCE_ROBOT.head
-    assert head is not None
     place_map = make_map(scale=scale)
-    aim = Aim(turned(head, pan, 0.1), 0.05)
+    aim = Aim(turned(REFERENCE_HEAD, pan, 0.1), 0.05)
     answers = []
     for of in (AHEAD, aim):
         estimator = CurrentPlaceEstimator([place_map])

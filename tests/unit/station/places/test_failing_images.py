@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shared.calibration import REFERENCE_ROBOT
+from shared.calibration import REFERENCE_HEAD
 from shared.geometry import FloatArray
 from shared.head import turned
 from station.motion.head import AHEAD, Aim
@@ -35,9 +35,7 @@ def test_a_robot_that_stands_still_before_a_view_it_does_not_know_keeps_its_plac
 
 def _looking(yaw: float, with_head: bool) -> tuple[FloatArray, Aim]:
     """Where body and camera are while one of them is turned."""
-    head = REFERENCE_ROBOT.head
-    assert head is not None
-    return (pose(0.0, 0.0), Aim(turned(head, yaw, 0.0), 0.05)) if with_head else (pose(0.0, 0.0, yaw), AHEAD)
+    return (pose(0.0, 0.0), Aim(turned(REFERENCE_HEAD, yaw, 0.0), 0.05)) if with_head else (pose(0.0, 0.0, yaw), AHEAD)
 
 
 @pytest.mark.parametrize("with_head", [True, False])

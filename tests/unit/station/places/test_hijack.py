@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shared.calibration import REFERENCE_ROBOT
+from shared.calibration import REFERENCE_HEAD
 from shared.geometry import yaw_rotation
 from shared.head import turned
 from station.model.frames import DriveSample, ImuBatch
@@ -106,11 +106,9 @@ def test_a_view_that_changes_at_once_and_stays_is_a_hijack() -> None:
 
 def test_a_view_that_went_because_the_head_turned_is_no_hijack() -> None:
     rng = np.random.default_rng(0)
-    head = REFERENCE_ROBOT.head
-    assert head is not None
     detector, a, b = HijackDetector(), features(rng), features(rng)
     resting(detector)
-    aside = Aim(turned(head, 0.8, 0.0), 0.05)
+    aside = Aim(turned(REFERENCE_HEAD, 0.8, 0.0), 0.05)
     views = [(a, AHEAD), (a, AHEAD), (b, aside), (b, aside)]
     assert not any(detector.on_view(k * SECOND // 2, view, aim) for k, (view, aim) in enumerate(views))
 
