@@ -50,6 +50,7 @@ async def test_the_rooms_of_a_flat_are_named_on_a_phone(room: Room) -> None:
         await page.keyboard.type(name)
         await page.locator("#room-dialog").get_by_role("button", name="Save").tap()
         await expect(label).to_have_text(name)
+        await expect(page.locator("#toast")).to_contain_text(name)  # it comes when the dialog has closed
         await reachable(page, "#toast button")
     await expect(page.locator("#name-hint")).to_be_hidden()
     assert await page.evaluate("document.documentElement.scrollWidth") == 375
