@@ -9,7 +9,7 @@ import pytest
 from playwright.async_api import Route, WebSocketRoute, expect
 
 from tests.e2e.conftest import Room
-from tests.support.station import store_planned_map
+from tests.support.station import store_planned_map, store_split_map
 
 pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="module")]
 
@@ -45,6 +45,24 @@ async def test_a_room_is_named_by_clicking_into_it_and_by_a_suggestion(room: Roo
     await page.locator("[data-layer=map]").click()
     await expect(page.locator("#plan")).to_be_hidden()
     await expect(page.locator(".place-label")).to_have_count(len(planned.places))
+
+
+async def test_while_rooms_are_made_one_the_page_says_that_the_plan_is_made_anew(room: Room) -> None:
+    split = store_split_map(room.desk.station.config.data_dir)
+    page = await room.open()
+    await room.desk.http.put("/maps/active", json={"id": split.id})
+    await expect(page.locator(".plan-room")).to_have_count(2)
+
+    async def answer_when_it_was_said(route: Route) -> None:
+        await expect(page.locator("#toast")).to_have_text("The plan is made anew …")
+        await route.continue_()
+
+    await page.route(re.compile("/rooms/merge$"), answer_when_it_was_said)
+    await page.locator(".plan-room").first.press("Enter")
+    await page.locator("#one-room-with").select_option(index=1)
+    await page.locator("#room-dialog").get_by_role("button", name="Merge").click()
+    await expect(page.locator(".plan-room")).to_have_count(1)
+    await expect(page.locator("#toast").get_by_role("button", name="Undo")).to_be_visible()
 
 
 async def test_of_two_rooms_that_look_alike_both_are_named_each_with_its_probability(room: Room) -> None:

@@ -4,7 +4,7 @@ import type { FloorPlanModel, NameSuggestionModel, PlanRoom, RoomModel } from ".
 import { closingButtons } from "../ui/dialogs";
 import { by, make, present, setText } from "../ui/dom";
 import { count, percent, sentence } from "../ui/text";
-import { offerUndo, undoable } from "../places/changes";
+import { offerUndo, undoablePlan } from "../places/changes";
 
 /**
  * Ask for its name first: whoever presses a room most likely wants to name it. At once, with what the plan knows: a phone
@@ -120,7 +120,9 @@ function mergeRow(
     make("option", { value: "", selected: true }, "choose a room"),
     ...others.map((r) => make("option", { value: r.id }, r.name)),
   );
-  const merge = button("Merge", () => undoable(() => call("POST", "/rooms/merge", { rooms: [room.id, select.value] })));
+  const merge = button("Merge", () =>
+    undoablePlan(() => call("POST", "/rooms/merge", { rooms: [room.id, select.value] })),
+  );
   merge.disabled = true;
   select.addEventListener("change", () => (merge.disabled = !select.value));
   return make("div", { class: "row merge" }, make("label", { for: "one-room-with" }, "One room with"), select, merge);

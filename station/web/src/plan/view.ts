@@ -2,7 +2,7 @@
 import { call } from "../link/api";
 import type { CurrentPlace, DoorModel, FloorPlanModel, PlaceModel, PlanRoom } from "../link/messages";
 import { Refresh } from "../link/refresh";
-import { undoable } from "../places/changes";
+import { undoablePlan } from "../places/changes";
 import { by, make, setText, show } from "../ui/dom";
 import { count } from "../ui/text";
 import { attempt, toast } from "../ui/toast";
@@ -181,7 +181,7 @@ export class PlanView {
     }
     toast(`Door between ${a} and ${b}.`, {
       label: "Erase",
-      act: () => undoable(() => call("DELETE", `/doors/${encodeURIComponent(door.id)}`)),
+      act: () => undoablePlan(() => call("DELETE", `/doors/${encodeURIComponent(door.id)}`)),
     });
   }
 
@@ -200,6 +200,6 @@ export class PlanView {
 
   private drawDoor(line: [Point, Point]): void {
     this.takePen(false);
-    attempt(() => undoable(() => call("POST", "/rooms/split", { line })));
+    attempt(() => undoablePlan(() => call("POST", "/rooms/split", { line })));
   }
 }
