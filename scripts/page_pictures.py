@@ -73,6 +73,7 @@ def look_around(camera: Camera) -> None:
     camera.take("whole", whole=True)
     for what, opener in DIALOGS.items():
         camera.dialog(what, opener)
+    page.locator("[data-layer=map]").click()  # the plan lies over it
     page.locator("[data-view=free]").click()
     page.locator("#scene").scroll_into_view_if_needed()
     camera.take("free")
