@@ -145,14 +145,14 @@ class Hypothesis:
     def begun_anew(self, share: float) -> Hypothesis:
         """With this share of its weight, after the robot was picked up: put down here again, it is recognised anew.
 
-        Where the robot was, no look-alike deceived; that one did is as probable as that the robot was not here.
+        What deceived before deceives at the same pose again only if nobody carried the robot.
         """
         return replace(
             self,
             weight=self.weight * share,
             recognised=NOTHING,
             counted_log_odds=0.0,
-            look_alike=self.look_alike * (1 - self.weight),
+            look_alike=self.look_alike * share,
             alike=UNRIVALLED,
         )
 

@@ -226,6 +226,22 @@ def test_what_deceived_before_a_hijack_does_not_convince_after_it() -> None:
         assert robot.known is None and robot.estimator.place_probabilities().place[2] < 0.5
 
 
+def test_a_stray_pose_of_before_a_hijack_does_not_hide_where_the_robot_was_put_down() -> None:
+    """It may lie near by chance."""
+    beliefs = []
+    for stray in (False, True):
+        robot = Robot(np.concatenate([piece(10), piece(120, 0.5)])).tracked()
+        if stray:
+            robot.shown(robot.things[:10], pose(6.0, 0.35), 0.05)
+        robot.tracked(6)
+        robot.estimator.on_hijack(round(robot.t_s * SECOND), "lifted")
+        for bit in np.split(robot.things[10:], 3):
+            robot.shown(bit, THERE, 0.12)
+        beliefs.append(float(robot.estimator.place_probabilities().place[2]))
+    without, with_stray = beliefs
+    assert without > 0.5 and with_stray > 0.5
+
+
 def test_after_a_hijack_what_speaks_for_the_old_pose_a_second_time_may_be_deceived_as_the_first_was() -> None:
     robot = Robot(piece(120)).tracked(6)
     robot.estimator.on_hijack(round(robot.t_s * SECOND), "lifted")
