@@ -87,7 +87,7 @@ def weigh(
     the next of the `numbers`. Where a candidate fits only if the wheels slipped, the hypothesis falls into two: they
     did, or the image is false; where another hypothesis expects the candidate, that one is the slip already.
     """
-    found = before.lost * image.one_is_right * image.share  # (C,) weight: it was lost, and is there
+    found = before.lost * image.found  # (C,) weight: it was lost, and is there
     hypotheses = []
     for i, h in enumerate(before.hypotheses):
         h = replace(h, weight=h.weight * image.at[i], alike=image.alike[i])
@@ -97,13 +97,17 @@ def weigh(
                 hypotheses.append(replace(h, weight=h.weight * (1 - correction.probability)))
                 h = replace(h, weight=h.weight * correction.probability)
             h = h.corrected(
-                image.candidates[correction.candidate], correction.fit, T_nav_body, image.counted_log_odds, c
+                image.candidates[correction.candidate],
+                correction.fit,
+                T_nav_body,
+                image.counted_log_odds[correction.candidate],
+                c,
             )
         gained = float(found[[expecting == i for expecting in image.expected_by]].sum())
         hypotheses.append(replace(h, weight=h.weight + gained))
-    for m, weight, by in zip(image.candidates, found, image.expected_by, strict=True):
+    for m, weight, by, counted in zip(image.candidates, found, image.expected_by, image.counted_log_odds, strict=True):
         if by is None:
-            hypotheses.append(Hypothesis.started(m, T_nav_body, float(weight), image.counted_log_odds, next(numbers)))
+            hypotheses.append(Hypothesis.started(m, T_nav_body, float(weight), counted, next(numbers)))
     return Belief(tuple(hypotheses), before.lost * image.lost, before.unmapped * image.unmapped)
 
 

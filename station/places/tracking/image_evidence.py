@@ -78,11 +78,10 @@ class ImageLikelihood:
     lost: float
     unmapped: float
     candidates: Sequence[PoseMeasurement] = ()  # (C,) none of an image that was not recognised
-    share: FloatArray = field(default_factory=lambda: np.zeros(0))  # (C,) of each candidate, if one of them is right
-    one_is_right: float = 0.0  # probability: so much of the lost weight goes to the candidates
+    found: FloatArray = field(default_factory=lambda: np.zeros(0))  # (C,) share of the lost weight that goes to each
     corrects: Sequence[Correction | None] = ()  # (H,) None: by no candidate
     expected_by: Sequence[int | None] = ()  # (C,) the hypothesis that a candidate fits; None: it is a new one
-    counted_log_odds: float = 0.0  # how much the image counts for what it recognises
+    counted_log_odds: Sequence[float] = ()  # (C,) how much the image counts for what each recognises
     alike: Sequence[Alike] = ()  # (H,) what each hypothesis has in common with others after the image (`twins.py`)
 
 
@@ -125,43 +124,50 @@ class ImageEvidence:
         at = density.sum(axis=1)  # of the image, at each hypothesis
         repeats = at * np.array([h.look_alike for h in before.hypotheses])
         again = c.deceived_again
-        worth = float(np.log((1 - false) / (false * again)))  # log odds, for a hypothesis that it fits
+        surely = 1 / c.false_localization_floor - 1  # odds: no look-alike furniture is as large
+        # Log odds of each, for a hypothesis that it fits: half of the look-alikes fit nothing.
+        worth = np.log(np.minimum(odds, surely) / again)
         expected_by = [_expected_by(fits, j) for j in range(len(candidates))]
         expecting = [None if i is None else before.hypotheses[i] for i in expected_by]
         together = [self._odds_together(*of_one) for of_one in zip(candidates, figures, expecting, strict=True)]
-        freshness = self._novelty(candidates, together, before, expecting, share, worth)
-        surely = np.log(1 / c.false_localization_floor - 1)  # no look-alike furniture is as large
-        large = np.exp(np.minimum(np.array(together) - surely, 0.0))
+        novelty = self._novelty(candidates, together, before, expecting, worth)
+        # Of the image on the whole: that of the candidates that are probably true.
+        believed = share * [before.lost if h is None else h.weight for h in expecting]
+        freshness = float(np.average(novelty, weights=believed + 1e-12))
+        large = np.exp(np.minimum(np.array(together) - np.log(surely), 0.0))
         twins = Twins(before.hypotheses, fits, share, large, freshness)
         at *= twins.tempering
         density *= twins.tempering[:, None]
         fails = [1.0] * len(before.hypotheses)  # asked only where it matters: it costs a while
         if twins.fits_one_of_alike:
             fails = self._failures(before, figures[0].features, T_nav_body @ aim.T_body_head)
+        repeated = 1 - again + again * float(repeats.max(initial=0.0))
+        lost = false * repeated
         factors: list[float] = []
         corrects: list[Correction | None] = []
         for i in range(len(before.hypotheses)):
             elsewhere = float(np.delete(repeats, i).max(initial=0.0))
             likelihood = (1 - false) * at[i] + false * (1 - again + again * elsewhere)
-            factors.append(twins.likelihood(i, float(likelihood), at, fails) ** freshness)
+            fitting = twins.fitting[i]
+            fresh = freshness if fitting is None else float(novelty[fitting])
+            relative = twins.likelihood(i, float(likelihood), at, fails) / lost
+            factors.append(lost**freshness * relative**fresh)
             best = int(np.argmax(density[i]))
             is_right = float((1 - false) * density[i][best] / likelihood)
             corrects.append(Correction(best, fits[i][best], is_right) if fits[i][best].squared < SAME_POSE else None)
-        repeated = 1 - again + again * float(repeats.max(initial=0.0))
         fails_in_map = failure_probability(c.fitted.fails_in_map, figures[0].features, 0.0)
         alike = twins.after(expected_by, fails_in_map)
         likeliest = int(np.argmax(share))
         strayed = self._rarer(figures[likeliest]) if expected_by[likeliest] is None else false
         return ImageLikelihood(
             at=twins.levelled(factors, alike),
-            lost=(false * repeated) ** freshness,
+            lost=lost**freshness,
             unmapped=(strayed * repeated) ** freshness,
             candidates=candidates,
-            share=share,
-            one_is_right=1 - false**freshness,
+            found=share * (1 - false**novelty),
             corrects=corrects,
             expected_by=expected_by,
-            counted_log_odds=freshness * max(0.0, worth),
+            counted_log_odds=novelty * np.maximum(worth, 0.0),
             alike=alike,
         )
 
@@ -230,30 +236,27 @@ class ImageEvidence:
         together: Sequence[float],
         before: Belief,
         expecting: Sequence[Hypothesis | None],
-        share: FloatArray,
-        image_worth: float,
-    ) -> float:
-        """0..1: the share of the landmarks that an image recognises and no hypothesis did lately.
+        worth: FloatArray,
+    ) -> FloatArray:
+        """(C,) 0..1: the share of the landmarks that each recognises and no hypothesis did lately.
 
         While all that a hypothesis recognised is small enough for furniture that comes twice, the whole has a budget:
-        what is as large as it is worth (`together`, log odds), of which the image may count what was not counted yet.
-        `image_worth`: what it is worth by itself. Of several candidates those count that are probably true.
+        what is as large as it is worth (`together`, log odds), of which the candidate may count what was not counted
+        yet. `worth`: log odds of each by itself.
         """
         c = self.config
         surely = np.log(1 / c.false_localization_floor - 1)  # no look-alike is as large: images err one by one
-        weight, novelty = [], []
-        for m, h, odds, its_share in zip(candidates, expecting, together, share, strict=True):
+        novelty = []
+        for m, h, of_all, of_one in zip(candidates, expecting, together, worth, strict=True):
             z = m.localization
             # What any of them recognised is no news to this one: a look-alike's pose may scatter.
             new = max(self._recognised_before(before.hypotheses, m).share_of_new(z.landmarks), c.same_landmarks)
             had = NOTHING if h is None else self._recognised_before((h,), m)
-            worth = max(0.0, odds)
-            worth -= float(np.log(c.deceived_again))  # as for the image alone: half of the look-alikes fit nothing
-            if h is not None and had.seen and image_worth > 0 and worth < surely:
-                new = min(new, max(0.0, worth - h.counted_log_odds) / image_worth)
+            budget = max(0.0, of_all) - float(np.log(c.deceived_again))
+            if h is not None and had.seen and of_one > 0 and budget < surely:
+                new = min(new, max(0.0, budget - h.counted_log_odds) / of_one)
             novelty.append(new)
-            weight.append(its_share * (before.lost if h is None else h.weight))
-        return float(np.clip(np.average(novelty, weights=np.array(weight) + 1e-12), 0.0, 1.0))
+        return np.clip(novelty, 0.0, 1.0)
 
     def _odds_together(self, m: PoseMeasurement, figures: MatchFigures, h: Hypothesis | None) -> float:
         """Log odds of a candidate, were it as large as all that the hypothesis that expects it recognised with it."""

@@ -34,12 +34,12 @@ class Twins:
             freshness: 0..1, how new the image is.
         """
         self._hypotheses, self._large, self._freshness = hypotheses, large, freshness
-        self._fitting = [_fitting(row, share) for row in fits]  # (H,) number of the candidate
+        self.fitting = [_fitting(row, share) for row in fits]  # (H,) number of the candidate; None: it fits none
         logs = [
             0.0 if j is None else float(np.log(max(row[j].density * share[j], LEAST)))
-            for row, j in zip(fits, self._fitting, strict=True)
+            for row, j in zip(fits, self.fitting, strict=True)
         ]
-        known = [x for x, j in zip(logs, self._fitting, strict=True) if j is not None]
+        known = [x for x, j in zip(logs, self.fitting, strict=True) if j is not None]
         self._log_ratios = [x - float(np.mean(known)) if known else 0.0 for x in logs]  # (H,)
         self.tempering = np.array([self._tempering(i) for i in range(len(hypotheses))])  # (H,) factor of its candidates
 
@@ -58,7 +58,7 @@ class Twins:
             fails: (H,) that an image is not recognised there.
         """
         alike, others = self._hypotheses[i].alike, self._fits_one_with(i)
-        if self._fitting[i] is not None:
+        if self.fitting[i] is not None:
             return likelihood * min((1 - alike.of(self._number(j)) * (1 - fails[j]) for j in others), default=1.0)
         deceived = [(alike.of(self._number(j)), float(at[j])) for j in others]
         surely, density = max(deceived, key=lambda pair: pair[0] * pair[1], default=(0.0, 0.0))
@@ -93,7 +93,7 @@ class Twins:
 
     def _after(self, i: int, alone: float) -> Alike:
         alike = self._hypotheses[i].alike.and_one(map(self._number, self._fits_one_with(i)), self._freshness)
-        if self._fitting[i] is None:
+        if self.fitting[i] is None:
             return alike
         rivals = self._rivals(i)
         if not rivals:
@@ -111,19 +111,19 @@ class Twins:
 
         The two halves of one that may have slipped have one number, and are no rivals.
         """
-        mine = self._fitting[i]
+        mine = self.fitting[i]
         if mine is None:
             return {}
         return {
             self._number(j): float(min(self._large[mine], self._large[other]))
-            for j, other in enumerate(self._fitting)
+            for j, other in enumerate(self.fitting)
             if other is not None and other != mine and self._number(j) != self._number(i)
         }
 
     def _fits_one_with(self, i: int) -> list[int]:
         """Hypotheses that the image fits, where it does not fit this one, or the other way round."""
-        is_fitting = self._fitting[i] is not None
-        return [j for j, other in enumerate(self._fitting) if (other is not None) != is_fitting]
+        is_fitting = self.fitting[i] is not None
+        return [j for j, other in enumerate(self.fitting) if (other is not None) != is_fitting]
 
     def _number(self, i: int) -> int:
         return self._hypotheses[i].number
