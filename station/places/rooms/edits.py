@@ -54,15 +54,34 @@ def with_room_split(place_map: PlaceMap, line: FloatArray) -> PlaceMap:
     """The map with a door drawn along a line (2, 2) on the ground, which parts a room in two.
 
     Raises:
-        DataError: the line is too short, or parts no room.
+        DataError: the line is too short, or parts no room: of most lines the plan as it is tells so, at once.
     """
     plan, edits = require_plan(place_map), place_map.plan_edits
     if np.linalg.norm(line[1] - line[0]) < MIN_LINE_M * plan.unit:
         raise DataError("the line is too short for a door; draw it from wall to wall")
+    if (why := why_useless(plan, line)) is not None:
+        raise DataError(why)
     changed = _edited(place_map, replace(edits, doors_drawn=(*edits.doors_drawn, line)))
     if len(require_plan(changed).rooms) <= len(plan.rooms):
         raise DataError("the line parts no room; draw it right across one, from wall to wall")
     return changed
+
+
+def why_useless(plan: FloorPlan, line: FloatArray) -> str | None:
+    """Why no room of a plan falls apart along a line (2, 2), for a person; None: one does."""
+    from station.places.rooms.segments import line_cells, parted_along  # SciPy, as in planning.py
+
+    cells = line_cells(line, plan.low, plan.cell, plan.unit, plan.room.shape)
+    labels = plan.room.astype(np.int32) - NO_ROOM  # 0: no room
+    if not (labels[cells] > 0).any():
+        return "the line parts no room, it lies outside of all of them; draw it right across one, from wall to wall"
+    if parted_along(labels, [cells]).max() > labels.max():
+        return None
+    for xy in line:
+        if (room_id := room_id_at(plan, xy)) is not None:
+            [name] = [room.name for room in plan.rooms if room.id == room_id]
+            return f"the line parts no room, it ends inside of {name}; draw it right across, from wall to wall"
+    return "the line parts no room; draw it right across one, from wall to wall"
 
 
 def with_door_erased(place_map: PlaceMap, door_id: str) -> PlaceMap:

@@ -79,6 +79,27 @@ def test_a_line_that_parts_nothing_is_refused(one_room: PlaceMap) -> None:
         with_room_split(one_room, np.array([beside, beside]))
 
 
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ([[30.0, 0.0], [30.0, 4.0]], "outside of all"),
+        ([[-3.0, 2.0], [2.0, 2.0]], "ends inside of Room 1"),
+        ([[1.0, 2.0], [2.0, 2.0]], "ends inside of Room 1"),
+        ([[-0.02, -1.0], [-0.02, 5.0]], "parts no room"),  # along a wall
+    ],
+)
+def test_a_line_that_parts_no_room_is_refused_before_a_plan_is_made(
+    one_room: PlaceMap, monkeypatch: pytest.MonkeyPatch, line: list[list[float]], words: str
+) -> None:
+    def none_is_made(_: PlaceMap) -> PlaceMap:
+        raise AssertionError("a plan was made of a line that parts no room")
+
+    monkeypatch.setattr(edits_module, "planned", none_is_made)
+    R = require_plan(one_room).R_ground_map[:2, :2]
+    with pytest.raises(DataError, match=words):
+        with_room_split(one_room, np.array(line) @ R.T)
+
+
 def test_what_there_is_not_is_refused_by_name() -> None:
     flat = with_two_rooms(make_map())
     for change, words in (
