@@ -85,7 +85,7 @@ def why_useless(plan: FloorPlan, line: FloatArray) -> str | None:
 
 
 def with_door_erased(place_map: PlaceMap, door_id: str) -> PlaceMap:
-    """The map without a door: what it led to is one room with where it led from.
+    """The map without a door: what it led to is one room with where it led from; of two it keeps a name by a person.
 
     Raises:
         DataError: there is no such door, or nobody went through it.
@@ -95,11 +95,12 @@ def with_door_erased(place_map: PlaceMap, door_id: str) -> PlaceMap:
         raise DataError(f'map "{place_map.name}" has no door with id "{door_id}"; GET /floorplan lists them')
     if door.rooms[1] is None:
         raise DataError("nobody went through this door, so no room is known behind it")
-    return with_rooms_merged(place_map, [door.rooms[0], door.rooms[1]], [door])
+    both = sorted((door.rooms[0], door.rooms[1]), key=lambda room_id: room_id not in place_map.plan_edits.names)
+    return with_rooms_merged(place_map, both, [door])
 
 
 def with_rooms_merged(place_map: PlaceMap, room_ids: Sequence[str], doors: Sequence[Door] | None = None) -> PlaceMap:
-    """The map with several rooms as one, which keeps id and name of the first.
+    """The map with several rooms as one, which keeps id and name of the first, also in that part if it is split again.
 
     `doors` between them are erased, by default all that there are.
 
@@ -115,7 +116,11 @@ def with_rooms_merged(place_map: PlaceMap, room_ids: Sequence[str], doors: Seque
     for door in between:
         edits = _without_door(edits, door)
     gone = {room.id for room in rooms[1:]}
-    edits = replace(edits, names={id: name for id, name in edits.names.items() if id not in gone})
+    edits = replace(
+        edits,
+        names={id: name for id, name in edits.names.items() if id not in gone},
+        middles={rooms[0].id: rooms[0].middle} | {id: xy for id, xy in edits.middles.items() if id not in gone},
+    )
     changed = _edited(place_map, edits)
     middles = np.array([room.middle for room in rooms])
     merged = {room_id_at(require_plan(changed), xy) for xy in middles}

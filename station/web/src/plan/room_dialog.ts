@@ -120,9 +120,10 @@ function mergeRow(
     make("option", { value: "", selected: true }, "choose a room"),
     ...others.map((r) => make("option", { value: r.id }, r.name)),
   );
-  const merge = button("Merge", () =>
-    undoablePlan(() => call("POST", "/rooms/merge", { rooms: [room.id, select.value] })),
-  );
+  // The first one's name is kept: the pressed room's, unless only the other one was named by a person.
+  const chosen = () => others.filter((r) => r.id === select.value);
+  const inOrder = () => [room, ...chosen()].sort((a, b) => Number(b.named) - Number(a.named)).map((r) => r.id);
+  const merge = button("Merge", () => undoablePlan(() => call("POST", "/rooms/merge", { rooms: inOrder() })));
   merge.disabled = true;
   select.addEventListener("change", () => (merge.disabled = !select.value));
   return make("div", { class: "row merge" }, make("label", { for: "one-room-with" }, "One room with"), select, merge);

@@ -79,6 +79,29 @@ def test_a_line_that_parts_nothing_is_refused(one_room: PlaceMap) -> None:
         with_room_split(one_room, np.array([beside, beside]))
 
 
+def test_a_name_stays_with_its_half_when_rooms_are_made_one_and_parted_again(one_room: PlaceMap) -> None:
+    x, y = require_plan(one_room).rooms[0].middle
+    off_middle = np.array([[x - 0.6, y - 6.0], [x - 0.6, y + 6.0]])
+    parted = with_room_split(one_room, off_middle)
+    smaller, larger = sorted(require_plan(parted).rooms, key=lambda room: room.area)
+    named = with_room_renamed(parted, smaller.id, "Pantry")
+    whole = with_rooms_merged(named, [smaller.id, larger.id])
+    again = with_room_split(planned(whole), off_middle)
+    assert sorted((r.area, r.name == "Pantry") for r in require_plan(again).rooms) == [
+        (smaller.area, True),
+        (larger.area, False),
+    ]
+
+
+def test_a_door_that_is_erased_takes_no_name_from_a_room(one_room: PlaceMap) -> None:
+    parted = with_room_split(one_room, across(require_plan(one_room)))
+    [door] = [door for door in require_plan(parted).doors if door.is_drawn]
+    for room_id in door.rooms:
+        assert room_id is not None
+        whole = with_door_erased(with_room_renamed(parted, room_id, "Pantry"), door.id)
+        assert [(r.id, r.name) for r in require_plan(whole).rooms] == [(room_id, "Pantry")]
+
+
 @pytest.mark.parametrize(
     ("line", "words"),
     [
