@@ -61,7 +61,8 @@ async def merge(order: RoomMerge, station: StationDep) -> RoomModel:
 async def split(order: RoomSplit, station: StationDep) -> list[RoomModel]:
     """A line right across a room, from wall to wall, makes two of it, now and in later plans of this map.
 
-    The larger part keeps id and name; of a room that was made of several, the part that had them before. Answers all rooms as they are then.
+    The larger part keeps id and name; of a room that was made of several, the part that had them before. Answers all
+    rooms as they are then.
     """
     station.maps.active.require_first().require_plan()
     await station.split_room(np.array(order.line, dtype=np.float64))
