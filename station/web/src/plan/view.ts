@@ -187,7 +187,7 @@ export class PlanView {
 
   private takePen(isOut: boolean): void {
     this.pen.take(isOut);
-    this.button.setAttribute("aria-pressed", String(isOut));
+    setText(this.button, isOut ? "Cancel" : "Draw a door"); // a phone has no Esc
     this.hint();
   }
 
