@@ -39,6 +39,7 @@ async def test_the_rooms_of_a_flat_are_named_on_a_phone(room: Room) -> None:
     assert box is not None and box["x"] >= 0 and box["x"] + box["width"] <= 375 and box["y"] + box["height"] <= 667
     await expect(page.locator("#name-hint")).to_be_visible()
     await reachable(page, ".map-bar button")
+    await reachable(page, ".plan-files a")
     for drawn, name in zip(flat.plan.rooms, NAMES, strict=True):
         label = page.locator(f".plan-names [data-room='{drawn.id}']")
         await label.tap()

@@ -47,6 +47,19 @@ async def test_a_room_is_named_by_clicking_into_it_and_by_a_suggestion(room: Roo
     await expect(page.locator(".place-label")).to_have_count(len(planned.places))
 
 
+@pytest.mark.parametrize(("ending", "begin"), [("SVG", b"<svg"), ("PNG", b"\x89PNG")])
+async def test_the_plan_is_downloaded_as_a_drawing(room: Room, ending: str, begin: bytes) -> None:
+    planned = store_planned_map(room.desk.station.config.data_dir)
+    page = await room.open()
+    await room.desk.http.put("/maps/active", json={"id": planned.id})
+    await expect(page.locator(".plan-room")).to_have_count(2)
+    async with page.expect_download() as waiting:
+        await page.locator("#plan").get_by_role("link", name=ending).click()
+    download = await waiting.value
+    assert download.suggested_filename == f"{planned.id}.{ending.lower()}"
+    assert (await download.path()).read_bytes().startswith(begin)
+
+
 async def test_while_rooms_are_made_one_the_page_says_that_the_plan_is_made_anew(room: Room) -> None:
     split = store_split_map(room.desk.station.config.data_dir)
     page = await room.open()

@@ -103,6 +103,8 @@ export class PlanView {
     this.svg.replaceChildren(drawPlan(plan, this.fit, height), this.moving);
     if (focused) this.svg.querySelector<SVGElement>(focused)?.focus();
     setText(by("plan-count"), this.summary);
+    for (const file of by("plan-files").querySelectorAll("a"))
+      file.download = `${plan.map}.${file.dataset.ending ?? ""}`;
     this.hint();
     this.drawMoving();
   }
