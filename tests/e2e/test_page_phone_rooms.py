@@ -71,6 +71,25 @@ async def test_a_phone_puts_the_pen_away_by_a_button_that_the_page_tells_of(room
     await expect(page.get_by_role("button", name="Draw a door")).to_be_visible()
 
 
+SUGGESTED = """() => [...document.querySelectorAll('.suggestions li')].map((li) => {
+  const box = (selector) => li.querySelector(selector).getBoundingClientRect();
+  const [name, source, note] = [box('strong'), box('.source'), box('.note')];
+  const isBelow = source.top >= name.bottom - 1;
+  return [isBelow ? source.left - name.left : 0, note.width / li.getBoundingClientRect().width];
+})"""
+
+
+async def test_suggested_names_leave_their_sentences_the_width_of_a_phone(room: Room) -> None:
+    planned = store_planned_map(room.desk.station.config.data_dir)
+    page = await room.open(**SMALL_PHONE)
+    await room.desk.http.put("/maps/active", json={"id": planned.id})
+    await page.locator(".plan-room[data-room=room-k]").press("Enter")
+    await expect(page.locator(".suggestions img")).to_be_visible()
+    [(indent, share)] = await page.evaluate(SUGGESTED)
+    assert indent == 0 and share > 0.9
+    await reachable(page, ".suggestions button")
+
+
 async def reachable(page: Page, selector: str) -> None:
     """As large as a finger, and their letters so large that a phone does not zoom to them."""
     sizes = await page.evaluate(SIZES, selector)
