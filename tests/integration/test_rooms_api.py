@@ -31,6 +31,22 @@ async def test_rooms_are_listed_named_drawn_and_taken_back(tmp_path: Path) -> No
         assert (await http.get("/rooms/room-k")).json()["name"] == "Room 2"
 
 
+async def test_a_rooms_name_is_taken_from_it_and_given_back(tmp_path: Path) -> None:
+    planned = store_planned_map(tmp_path)
+    async with at_work(tmp_path) as (desk, _, _):
+        http = desk.http
+        await http.put("/maps/active", json={"id": planned.id})
+        await http.patch("/rooms/room-k", json={"name": "Pantry"})
+        cleared = (await http.patch("/rooms/room-k", json={"name": None})).json()
+        assert (cleared["name"], cleared["named"]) == ("Room 2", False)
+        assert (await http.get("/places/changes")).json()[0]["why"] == "Pantry has no name any more"
+        await http.post("/places/undo")
+        back = (await http.get("/rooms/room-k")).json()
+        assert (back["name"], back["named"]) == ("Pantry", True)
+        assert is_problem(await http.patch("/rooms/room-k", json={}), 422)
+        assert is_problem(await http.patch("/rooms/room-k", json={"name": ""}), 422)
+
+
 async def test_of_two_rooms_that_look_alike_both_are_told_and_none_is_named(tmp_path: Path) -> None:
     planned = store_planned_map(tmp_path)
     async with at_work(tmp_path, place_program=OneOfTwoRooms) as (desk, _, _):

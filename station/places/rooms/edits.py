@@ -50,6 +50,27 @@ def with_room_renamed(place_map: PlaceMap, room_id: str, name: str) -> PlaceMap:
     return with_plan(replace(place_map, plan_edits=edits), replace(plan, rooms=rooms))
 
 
+def with_name_taken_back(place_map: PlaceMap, room_id: str) -> PlaceMap:
+    """The map with one room that no person named: it has the name of its number, or a free one.
+
+    Raises DataError.
+    """
+    from station.places.rooms.identity import NAME_PREFIX  # SciPy, as in planning.py
+
+    plan = require_plan(place_map)
+    room = find_room(place_map, room_id)
+    if room_id not in place_map.plan_edits.names:
+        return place_map
+    taken = {other.name.casefold() for other in plan.rooms if other is not room}
+    own = plan.rooms.index(room) + 1
+    names = (f"{NAME_PREFIX}{number}" for number in (own, *range(1, len(plan.rooms) + 1)))
+    name = next(name for name in names if name.casefold() not in taken)
+    kept = {id: name for id, name in place_map.plan_edits.names.items() if id != room_id}
+    rooms = tuple(replace(other, name=name) if other is room else other for other in plan.rooms)
+    edits = replace(place_map.plan_edits, names=kept)
+    return with_plan(replace(place_map, plan_edits=edits), replace(plan, rooms=rooms))
+
+
 def with_room_split(place_map: PlaceMap, line: FloatArray) -> PlaceMap:
     """The map with a door drawn along a line (2, 2) on the ground, which parts a room in two.
 

@@ -15,7 +15,7 @@ export async function openRoom(room: PlanRoom, plan: FloorPlanModel): Promise<vo
   const input = make("input", {
     value: room.named ? room.name : "",
     maxlength: "80",
-    required: true,
+    required: !room.named, // empty: it shall have none any more
     id: "room-name",
     autocomplete: "off",
     autocapitalize: "sentences",
@@ -32,7 +32,7 @@ export async function openRoom(room: PlanRoom, plan: FloorPlanModel): Promise<vo
   );
   const name = async (text: string) => {
     try {
-      if (text !== room.name || !room.named) await call("PATCH", `/rooms/${room.id}`, { name: text });
+      if (text !== room.name || !room.named) await call("PATCH", `/rooms/${room.id}`, { name: text || null });
     } catch (error) {
       setText(why, sentence(error)); // the dialog stays, for another name
       return;
@@ -53,7 +53,13 @@ export async function openRoom(room: PlanRoom, plan: FloorPlanModel): Promise<vo
       form,
       why,
       mergeRow(room, plan, button),
-      make("div", { class: "row end" }, button("Close", null, "quiet")),
+      make(
+        "div",
+        { class: "row end" },
+        room.named &&
+          make("button", { type: "button", class: "quiet apart", onclick: () => void name("") }, "Remove name"),
+        button("Close", null, "quiet"),
+      ),
     ),
   );
   dialog.showModal();

@@ -15,6 +15,7 @@ from station.places.rooms.edits import (
     require_plan,
     room_id_at,
     with_door_erased,
+    with_name_taken_back,
     with_room_renamed,
     with_room_split,
     with_rooms_merged,
@@ -77,6 +78,16 @@ def test_a_line_that_parts_nothing_is_refused(one_room: PlaceMap) -> None:
         with_room_split(one_room, np.array([beside, beside + 1.0]))
     with pytest.raises(DataError, match="too short"):
         with_room_split(one_room, np.array([beside, beside]))
+
+
+def test_a_name_that_is_taken_back_leaves_a_number_that_no_room_has() -> None:
+    flat = with_two_rooms(make_map())
+    assert with_name_taken_back(flat, "room-k") is flat
+    for other, own in (("Living room", "Room 2"), ("Room 2", "Room 1")):
+        named = with_room_renamed(with_room_renamed(flat, "room-k", "Kitchen"), "room-l", other)
+        cleared = with_name_taken_back(named, "room-k")
+        assert [room.name for room in require_plan(cleared).rooms] == [other, own]
+        assert cleared.plan_edits.names == {"room-l": other}
 
 
 def test_a_name_stays_with_its_half_when_rooms_are_made_one_and_parted_again(one_room: PlaceMap) -> None:
