@@ -83,6 +83,19 @@ async def test_rooms_are_made_one_and_parted_again(tmp_path: Path) -> None:
         assert len((await http.get("/rooms")).json()) == 2
 
 
+async def test_a_name_stays_with_the_smaller_half_of_a_room_that_was_two(tmp_path: Path) -> None:
+    split = store_split_map(tmp_path)
+    async with at_work(tmp_path) as (desk, _, _):
+        http = desk.http
+        await http.put("/maps/active", json={"id": split.id})
+        smaller, larger = sorted((await http.get("/rooms")).json(), key=lambda room: room["area_m2"])
+        await http.patch(f"/rooms/{smaller['id']}", json={"name": "Pantry"})
+        await http.post("/rooms/merge", json={"rooms": [smaller["id"], larger["id"]]})
+        parted = (await http.post("/rooms/split", json={"line": DRAWN.tolist()})).json()
+        named = {room["name"]: room["area_m2"] for room in parted}
+        assert len(named) == 2 and named["Pantry"] == smaller["area_m2"] < larger["area_m2"]
+
+
 async def test_what_cannot_be_done_with_rooms_is_a_problem(tmp_path: Path) -> None:
     planned = store_planned_map(tmp_path)
     async with at_work(tmp_path) as (desk, _, _):
