@@ -83,7 +83,9 @@ def with_room_split(place_map: PlaceMap, line: FloatArray) -> PlaceMap:
     if (why := why_useless(plan, line)) is not None:
         raise DataError(why)
     changed = _edited(place_map, replace(edits, doors_drawn=(*edits.doors_drawn, line)))
-    if len(require_plan(changed).rooms) <= len(plan.rooms):
+    made = require_plan(changed)
+    is_door = any(door.is_drawn and np.array_equal(door.ends, line) for door in made.doors)
+    if not is_door and len(made.rooms) <= len(plan.rooms):  # a plan by an older station may have had more rooms
         raise DataError("the line parts no room; draw it right across one, from wall to wall")
     return changed
 

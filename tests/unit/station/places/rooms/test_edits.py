@@ -134,6 +134,13 @@ def test_a_line_that_parts_no_room_is_refused_before_a_plan_is_made(
         with_room_split(one_room, np.array(line) @ R.T)
 
 
+def test_a_door_is_drawn_in_a_plan_that_had_more_rooms_than_it_has_when_made_anew(one_room: PlaceMap) -> None:
+    plan = require_plan(one_room)
+    gone = replace(plan.rooms[0], id="room-gone", name="Gone")
+    older = replace(one_room, plan=replace(plan, rooms=(*plan.rooms, gone)))
+    assert len(require_plan(with_room_split(older, across(plan))).rooms) == 2
+
+
 def test_what_there_is_not_is_refused_by_name() -> None:
     flat = with_two_rooms(make_map())
     for change, words in (
