@@ -405,9 +405,9 @@ class Station:
         self.events.notify("map", f"{len(set(place_ids))} places are {place.name} now")
         return place
 
-    async def rename_room(self, room_id: str, name: str) -> Room:
-        """Raises Conflict, Unknown, DataError."""
-        room = await self.maps.rename_room(room_id, name)
+    async def rename_room(self, room_id: str, name: str | None) -> Room:
+        """None: as a room is called that nobody named. Raises Conflict, Unknown, DataError."""
+        room = await (self.maps.take_room_name_back(room_id) if name is None else self.maps.rename_room(room_id, name))
         self._regroup()
         return room
 

@@ -36,6 +36,11 @@ class Connection:
     token: Token | None = None  # what this station joins with
     heard: bytes = b""  # what the robot has said already
 
+    @property
+    def is_loopback(self) -> bool:
+        """Whether the robot's program runs on this machine."""
+        return is_loopback(self.writer.get_extra_info("peername")[0])
+
 
 def in_words(error: BaseException, address: str) -> str:
     """What an error of the network means, for a person: the system's own text names numbers and calls."""

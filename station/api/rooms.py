@@ -12,8 +12,15 @@ from fastapi import APIRouter, Query, Response
 from station.api.deps import StationDep
 from station.api.prepared import Prepared
 from station.api.problems import responses
-from station.api.schema.base import NewName
-from station.api.schema.rooms import FloorPlanModel, RoomMerge, RoomModel, RoomSplit, floor_plan_model, room_model
+from station.api.schema.rooms import (
+    FloorPlanModel,
+    NewRoomName,
+    RoomMerge,
+    RoomModel,
+    RoomSplit,
+    floor_plan_model,
+    room_model,
+)
 from station.app import Station
 from station.model.floor_plan import FloorPlan
 from station.model.place_map import PlaceMap
@@ -42,8 +49,8 @@ async def room(room_id: str, station: StationDep) -> RoomModel:
 
 
 @router.patch("/rooms/{room_id}", summary="Name a room", responses=responses(404, 409))
-async def rename(room_id: str, new: NewName, station: StationDep) -> RoomModel:
-    """Names are unique in a map. POST /places/undo takes it back, as every change of rooms."""
+async def rename(room_id: str, new: NewRoomName, station: StationDep) -> RoomModel:
+    """Names are unique in a map; null takes a room's name from it. POST /places/undo undoes it, like all of rooms."""
     _room(station, room_id)
     await station.rename_room(room_id, new.name)
     return _room(station, room_id)
@@ -61,7 +68,8 @@ async def merge(order: RoomMerge, station: StationDep) -> RoomModel:
 async def split(order: RoomSplit, station: StationDep) -> list[RoomModel]:
     """A line right across a room, from wall to wall, makes two of it, now and in later plans of this map.
 
-    The larger part keeps id and name. Answers all rooms as they are then.
+    The larger part keeps id and name; of a room that was made of several, the part that had them before. Answers all
+    rooms as they are then.
     """
     station.maps.active.require_first().require_plan()
     await station.split_room(np.array(order.line, dtype=np.float64))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -16,6 +18,7 @@ from station.commands.options import Config, Data, Json
 from station.commands.progress import working
 from station.config import load_config
 from station.maps.blobs import REPAIR_OR_RESTORE
+from station.maps.contents import NoSuchMap
 from station.maps.folder import load_map_folder
 from station.maps.record_files import ASIDE, record_files
 from station.maps.store import MapStore
@@ -76,7 +79,8 @@ def list_maps(data: Data = None, config: Config = None, as_json: Json = False) -
 
 def history(map_id: MapId, data: Data = None, config: Config = None, as_json: Json = False) -> None:
     """Every version of a map, the newest first."""
-    records = open_store(data, config).history(map_id)
+    with in_folder(data):
+        records = open_store(data, config).history(map_id)
     if as_json:
         keys = ("number", "kind", "why", "author", "created_ms", "previous", "content", "name")
         print(json.dumps({"versions": [{key: getattr(record, key) for key in keys} for record in records]}))
@@ -94,7 +98,8 @@ def undo(
     config: Config = None,
 ) -> None:
     """Take back the last change of a map, also its deletion; again: the change before."""
-    record = open_store(data, config).undo(map_id, to)
+    with in_folder(data):
+        record = open_store(data, config).undo(map_id, to)
     print(
         f"{record.name} ({map_id}) is {record.why}, with {len(record.places)} places; this is version {record.number}"
     )
@@ -102,7 +107,8 @@ def undo(
 
 def delete(map_id: MapId, data: Data = None, config: Config = None) -> None:
     """Delete a map; `station map undo MAP` brings it back until it is purged."""
-    open_store(data, config).delete(map_id)
+    with in_folder(data):
+        open_store(data, config).delete(map_id)
     sentence = (
         f"{map_id} is deleted; `station map undo {map_id}` brings it back,"
         f" `station map purge {map_id} --yes` frees its space"
@@ -221,7 +227,19 @@ def open_map(which: str, data: Path | None, config: Path | None) -> PlaceMap:
         return load_map_folder(Path(which))
     if len(Path(which).parts) > 1:
         raise DataError(f"{which} is no folder; give one written by `station map build`, or the id of a map")
-    return open_store(data, config).load(which)
+    with in_folder(data):
+        return open_store(data, config).load(which)
+
+
+@contextmanager
+def in_folder(data: Path | None) -> Iterator[None]:
+    """Where a map is not in the folder that is looked in by default, the sentence says how to name another one."""
+    try:
+        yield
+    except NoSuchMap as exc:
+        if data is not None:
+            raise
+        raise DataError(f"{exc}; where the station keeps its maps elsewhere, name its data folder with --data") from exc
 
 
 def is_folder(which: str) -> bool:

@@ -26,7 +26,13 @@ from station.model.map_store import MapSummary, StoreAddress
 from station.model.place_map import Place, PlaceMap
 from station.places.localisation.index_path import forget_index
 from station.places.making.changes import with_place_hidden, with_places_merged
-from station.places.rooms.edits import with_door_erased, with_room_renamed, with_room_split, with_rooms_merged
+from station.places.rooms.edits import (
+    with_door_erased,
+    with_name_taken_back,
+    with_room_renamed,
+    with_room_split,
+    with_rooms_merged,
+)
 from station.places.rooms.planning import with_suggestions_too
 
 logger = logging.getLogger(__name__)
@@ -188,6 +194,12 @@ class Maps:
         name = tidy_name(name, "a room's name")
         rename = partial(with_room_renamed, room_id=room_id, name=name)
         changed = await self._edit(rename, lambda active: f"{active.room(room_id).name} is {name} now")
+        return changed.room(room_id)
+
+    async def take_room_name_back(self, room_id: str) -> Room:
+        """The room is called as one that nobody named. Raises Conflict, Unknown, DataError."""
+        forget = partial(with_name_taken_back, room_id=room_id)
+        changed = await self._edit(forget, lambda active: f"{active.room(room_id).name} has no name any more")
         return changed.room(room_id)
 
     async def merge_rooms(self, room_ids: Sequence[str]) -> Room:

@@ -29,6 +29,10 @@ from station.model.map_store import VersionKind
 from station.model.place_map import PlaceMap
 
 
+class NoSuchMap(DataError):
+    """A store holds no map of this id."""
+
+
 class Contents:
     """What a store holds, in its own place or on a copy of its index. Nothing is checked before the first use: open it.
 
@@ -109,7 +113,7 @@ class Contents:
             )
         return record, data
 
-    def no_map(self, map_id: str) -> DataError:
+    def no_map(self, map_id: str) -> NoSuchMap:
         """What to raise where there is no map of this id."""
         rows: Rows = []
         if self.database.exists:
@@ -117,7 +121,7 @@ class Contents:
                 rows = versions.newest_of_all(connection)
         kept = {row.map_id for row in rows if row.kind != "deleted"}
         known = ", ".join(sorted(kept | self.not_imported.keys())) or "none"
-        return DataError(f'{self.bucket.place} holds no map "{map_id}"; its maps: {known}')
+        return NoSuchMap(f'{self.bucket.place} holds no map "{map_id}"; its maps: {known}')
 
     def unsealed(self, row: VersionRow) -> str:
         """What to say of a row that is not what was written."""

@@ -69,6 +69,7 @@ def decode_plan(content: Mapping[str, Any]) -> PlanRecord | None:
     shapes = [(plan.R_ground_map, (3, 3)), (plan.low, (2,))]
     shapes += [(room.middle, (2,)) for room in plan.rooms] + [(door.ends, (2, 2)) for door in plan.doors]
     shapes += [(line, (2, 2)) for line in (*plan.edits.doors_drawn, *plan.edits.doors_erased)]
+    shapes += [(xy, (2,)) for xy in plan.edits.middles.values()]
     shapes += [(s.corners_px, (4, 2)) for s in plan.suggestions if s.corners_px is not None]
     shapes += [(s.p_map, (3,)) for s in plan.suggestions if s.p_map is not None]
     if any(values.shape != shape for values, shape in shapes):

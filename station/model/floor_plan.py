@@ -53,6 +53,7 @@ class PlanEdits:
     doors_drawn: tuple[FloatArray, ...] = ()  # (2, 2) each: a line that parts a room
     doors_erased: tuple[FloatArray, ...] = ()  # (2, 2) each: a door that is none; both sides are one room
     names: Mapping[str, str] = field(default_factory=dict)  # of rooms, by id
+    middles: Mapping[str, FloatArray] = field(default_factory=dict)  # (2,) by id: of rooms before others joined them
 
 
 @dataclass(frozen=True, slots=True, eq=False)

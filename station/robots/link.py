@@ -12,7 +12,6 @@ import msgspec
 
 from shared.access import prove
 from shared.errors import ConfigError, RemoteProtocolError
-from shared.listening import is_loopback
 from shared.messages import (
     PROTOCOL_VERSION,
     CalibrationChanged,
@@ -146,7 +145,9 @@ class RobotLink:
     def _network(self, frame_rate_hz: float) -> NetworkState:
         if not self._connected:
             return NetworkState("none", self._reason)
-        state = self._delays.state(frame_rate_hz, self._session.state is State.QUIET)
+        is_quiet = self._session.state is State.QUIET
+        is_same_machine = self._connection is not None and self._connection.is_loopback
+        state = self._delays.state(frame_rate_hz, is_quiet, is_same_machine)
         if state.grade in ("slow", "bad") and self._datagrams is not None and self._datagrams.is_blocked:
             return replace(state, sentence=f"{state.sentence}; {self._datagrams.why_blocked}")
         return state
@@ -382,11 +383,9 @@ class RobotLink:
 
     def _ask_datagrams(self, hello: Hello) -> None:
         """For pictures, where a network lies between that may lose packets."""
-        if self._connection is None or not hello.datagram_port:
+        if self._connection is None or not hello.datagram_port or self._connection.is_loopback:
             return
         host, _, *scope = self._connection.writer.get_extra_info("peername")
-        if is_loopback(host):
-            return
         robot = (host, hello.datagram_port, *scope)
         try:
             self._datagrams = PictureDatagrams(robot, self._receive_frame, self._clock.add_exchange, self._now_ns)

@@ -26,6 +26,7 @@ class NetworkState:
     picture_age_ms: float | None = None  # of nine in ten pictures at most, on arrival
 
 
+_OF_A_NETWORK = ("slow network", "bad network")
 NOT_CONNECTED = NetworkState("none", "not connected yet")
 
 
@@ -59,8 +60,8 @@ class RecentDelays:
             return 0
         return max(0, round(self.round_trip_ms - self._least_ns * 1e-6))
 
-    def state(self, picture_rate_hz: float, is_quiet: bool) -> NetworkState:
-        """How the network of a connected robot is."""
+    def state(self, picture_rate_hz: float, is_quiet: bool, is_same_machine: bool = False) -> NetworkState:
+        """How the network of a connected robot is. On one machine what is late is the machine's own business."""
         trip_ms, age_ms = self.round_trip_ms, self.picture_age_ms
         loop_ms = (trip_ms or 0.0) + (age_ms or 0.0)
         is_rare = age_ms is not None and picture_rate_hz < LEAST_RATE_HZ
@@ -68,12 +69,14 @@ class RecentDelays:
             return NetworkState("silent", "the robot has said nothing for a second", trip_ms, age_ms)
         if loop_ms <= GOOD_LOOP_MS and not is_rare:
             return NetworkState("good", "the network is good", trip_ms, age_ms)
+        slow, bad = ("this computer is busy", "this computer is too busy") if is_same_machine else _OF_A_NETWORK
+        remedy = "let it do less" if is_same_machine else "come closer to the access point"
         is_standing = trip_ms is not None and min(self._round_trips_ns) * 1e-6 >= STANDING_TRIP_MS
         if loop_ms <= SLOW_LOOP_MS and not is_standing:
-            what = f"slow network: {self._numbers(picture_rate_hz)}; drive slowly"
+            what = f"{slow}: {self._numbers(picture_rate_hz)}; drive slowly"
             return NetworkState("slow", what, trip_ms, age_ms)
         reason = "; the robot stands, since stops would come too late" if is_standing else ""
-        what = f"bad network: {self._numbers(picture_rate_hz)}{reason}; come closer to the access point"
+        what = f"{bad}: {self._numbers(picture_rate_hz)}{reason}; {remedy}"
         return NetworkState("bad", what, trip_ms, age_ms)
 
     def _numbers(self, picture_rate_hz: float) -> str:

@@ -12,7 +12,7 @@ from station.places.rooms.edits import with_room_split
 from station.places.rooms.planning import planned
 from tests.e2e.conftest import Room
 from tests.support.made_up_workers import made_up_navigation
-from tests.support.station import DRAWN
+from tests.support.station import DRAWN, store_planned_map
 
 pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="module")]
 SMALL_PHONE = {"viewport": {"width": 375, "height": 667}, "has_touch": True, "is_mobile": True}
@@ -39,6 +39,7 @@ async def test_the_rooms_of_a_flat_are_named_on_a_phone(room: Room) -> None:
     assert box is not None and box["x"] >= 0 and box["x"] + box["width"] <= 375 and box["y"] + box["height"] <= 667
     await expect(page.locator("#name-hint")).to_be_visible()
     await reachable(page, ".map-bar button")
+    await reachable(page, ".plan-files a")
     for drawn, name in zip(flat.plan.rooms, NAMES, strict=True):
         label = page.locator(f".plan-names [data-room='{drawn.id}']")
         await label.tap()
@@ -54,6 +55,39 @@ async def test_the_rooms_of_a_flat_are_named_on_a_phone(room: Room) -> None:
         await reachable(page, "#toast button")
     await expect(page.locator("#name-hint")).to_be_hidden()
     assert await page.evaluate("document.documentElement.scrollWidth") == 375
+
+
+async def test_a_phone_puts_the_pen_away_by_a_button_that_the_page_tells_of(room: Room) -> None:
+    planned = store_planned_map(room.desk.station.config.data_dir)
+    page = await room.open(**SMALL_PHONE)
+    await room.desk.http.put("/maps/active", json={"id": planned.id})
+    await page.get_by_role("button", name="Draw a door").tap()
+    await expect(page.locator("#plan svg.drawing")).to_be_visible()
+    await expect(page.locator("#pen-hint")).to_contain_text("Cancel")
+    await reachable(page, ".map-bar button")
+    await page.locator(".map-bar").get_by_role("button", name="Cancel").tap()
+    await expect(page.locator("#pen-hint")).to_be_hidden()
+    assert await page.locator("#plan svg.drawing").count() == 0
+    await expect(page.get_by_role("button", name="Draw a door")).to_be_visible()
+
+
+SUGGESTED = """() => [...document.querySelectorAll('.suggestions li')].map((li) => {
+  const box = (selector) => li.querySelector(selector).getBoundingClientRect();
+  const [name, source, note] = [box('strong'), box('.source'), box('.note')];
+  const isBelow = source.top >= name.bottom - 1;
+  return [isBelow ? source.left - name.left : 0, note.width / li.getBoundingClientRect().width];
+})"""
+
+
+async def test_suggested_names_leave_their_sentences_the_width_of_a_phone(room: Room) -> None:
+    planned = store_planned_map(room.desk.station.config.data_dir)
+    page = await room.open(**SMALL_PHONE)
+    await room.desk.http.put("/maps/active", json={"id": planned.id})
+    await page.locator(".plan-room[data-room=room-k]").press("Enter")
+    await expect(page.locator(".suggestions img")).to_be_visible()
+    [(indent, share)] = await page.evaluate(SUGGESTED)
+    assert indent == 0 and share > 0.9
+    await reachable(page, ".suggestions button")
 
 
 async def reachable(page: Page, selector: str) -> None:

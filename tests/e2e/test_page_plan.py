@@ -47,6 +47,39 @@ async def test_a_room_is_named_by_clicking_into_it_and_by_a_suggestion(room: Roo
     await expect(page.locator(".place-label")).to_have_count(len(planned.places))
 
 
+async def test_a_name_that_was_removed_is_given_back(room: Room) -> None:
+    planned = store_planned_map(room.desk.station.config.data_dir)
+    page = await room.open()
+    await room.desk.http.put("/maps/active", json={"id": planned.id})
+    await room.desk.http.patch("/rooms/room-k", json={"name": "Pantry"})
+    label = page.locator(".plan-names text[data-room=room-k]")
+    for way in ("button", "empty field"):
+        await expect(label).to_have_text("Pantry")
+        await page.locator(".plan-room[data-room=room-k]").press("Enter")
+        if way == "button":
+            await page.locator("#room-dialog").get_by_role("button", name="Remove name").click()
+        else:
+            await page.locator("#room-name").fill("")
+            await page.keyboard.press("Enter")
+        await expect(label).to_have_text("Room 2")
+        await expect(page.locator("#toast")).to_contain_text("Pantry has no name any more.")
+        await page.locator("#toast").get_by_role("button", name="Undo").click()
+    await expect(label).to_have_text("Pantry")
+
+
+@pytest.mark.parametrize(("ending", "begin"), [("SVG", b"<svg"), ("PNG", b"\x89PNG")])
+async def test_the_plan_is_downloaded_as_a_drawing(room: Room, ending: str, begin: bytes) -> None:
+    planned = store_planned_map(room.desk.station.config.data_dir)
+    page = await room.open()
+    await room.desk.http.put("/maps/active", json={"id": planned.id})
+    await expect(page.locator(".plan-room")).to_have_count(2)
+    async with page.expect_download() as waiting:
+        await page.locator("#plan").get_by_role("link", name=ending).click()
+    download = await waiting.value
+    assert download.suggested_filename == f"{planned.id}.{ending.lower()}"
+    assert (await download.path()).read_bytes().startswith(begin)
+
+
 async def test_while_rooms_are_made_one_the_page_says_that_the_plan_is_made_anew(room: Room) -> None:
     split = store_split_map(room.desk.station.config.data_dir)
     page = await room.open()

@@ -52,6 +52,14 @@ async def test_a_link_that_is_ended_while_the_robot_leaves_ends() -> None:
         assert done and running.cancelled()
 
 
+async def test_on_one_machine_the_computer_is_busy_and_no_network_is_bad() -> None:
+    async with running_robot() as bench, linked(bench.port) as (link, _):
+        await until(lambda: link.state.clock_bound_ns is not None)
+        bench.camera.put(t_robot_ns=0)  # long ago
+        await until(lambda: link.state.network.picture_age_ms is not None)
+        assert link.state.network.sentence.startswith("this computer is too busy: ")
+
+
 async def test_the_robots_clock_is_known_soon() -> None:
     async with running_robot() as bench, linked(bench.port) as (link, _):
         await until(lambda: link.state.rtt_ms is not None)

@@ -31,6 +31,22 @@ async def test_rooms_are_listed_named_drawn_and_taken_back(tmp_path: Path) -> No
         assert (await http.get("/rooms/room-k")).json()["name"] == "Room 2"
 
 
+async def test_a_rooms_name_is_taken_from_it_and_given_back(tmp_path: Path) -> None:
+    planned = store_planned_map(tmp_path)
+    async with at_work(tmp_path) as (desk, _, _):
+        http = desk.http
+        await http.put("/maps/active", json={"id": planned.id})
+        await http.patch("/rooms/room-k", json={"name": "Pantry"})
+        cleared = (await http.patch("/rooms/room-k", json={"name": None})).json()
+        assert (cleared["name"], cleared["named"]) == ("Room 2", False)
+        assert (await http.get("/places/changes")).json()[0]["why"] == "Pantry has no name any more"
+        await http.post("/places/undo")
+        back = (await http.get("/rooms/room-k")).json()
+        assert (back["name"], back["named"]) == ("Pantry", True)
+        assert is_problem(await http.patch("/rooms/room-k", json={}), 422)
+        assert is_problem(await http.patch("/rooms/room-k", json={"name": ""}), 422)
+
+
 async def test_of_two_rooms_that_look_alike_both_are_told_and_none_is_named(tmp_path: Path) -> None:
     planned = store_planned_map(tmp_path)
     async with at_work(tmp_path, place_program=OneOfTwoRooms) as (desk, _, _):
@@ -65,6 +81,19 @@ async def test_rooms_are_made_one_and_parted_again(tmp_path: Path) -> None:
         assert whole["area_m2"] == merged["area_m2"]
         await http.post("/places/undo")
         assert len((await http.get("/rooms")).json()) == 2
+
+
+async def test_a_name_stays_with_the_smaller_half_of_a_room_that_was_two(tmp_path: Path) -> None:
+    split = store_split_map(tmp_path)
+    async with at_work(tmp_path) as (desk, _, _):
+        http = desk.http
+        await http.put("/maps/active", json={"id": split.id})
+        smaller, larger = sorted((await http.get("/rooms")).json(), key=lambda room: room["area_m2"])
+        await http.patch(f"/rooms/{smaller['id']}", json={"name": "Pantry"})
+        await http.post("/rooms/merge", json={"rooms": [smaller["id"], larger["id"]]})
+        parted = (await http.post("/rooms/split", json={"line": DRAWN.tolist()})).json()
+        named = {room["name"]: room["area_m2"] for room in parted}
+        assert len(named) == 2 and named["Pantry"] == smaller["area_m2"] < larger["area_m2"]
 
 
 async def test_what_cannot_be_done_with_rooms_is_a_problem(tmp_path: Path) -> None:

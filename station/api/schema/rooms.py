@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from shared.geometry import FloatArray
-from station.api.schema.base import Model, Number, Question
+from station.api.schema.base import Model, Name, Number, Question
 from station.api.schema.places import PlaceName, RoomName
 from station.library.active_maps import ActiveMap
 from station.model.floor_plan import NameSuggestion, Room, SuggestionSource
@@ -86,6 +86,12 @@ class FloorPlanModel(Model):
     walls: list[list[Point]]
     places: list[PlanPlace] = Field(description="those that are not hidden")
     path: list[Point] = Field(description="of the drives that it was made from")
+
+
+class NewRoomName(Question):
+    """What a room shall be called."""
+
+    name: Name | None = Field(description="null: as nobody had named it, Room 2 for example", examples=["Kitchen"])
 
 
 class RoomMerge(Question):

@@ -50,23 +50,65 @@ def with_room_renamed(place_map: PlaceMap, room_id: str, name: str) -> PlaceMap:
     return with_plan(replace(place_map, plan_edits=edits), replace(plan, rooms=rooms))
 
 
+def with_name_taken_back(place_map: PlaceMap, room_id: str) -> PlaceMap:
+    """The map with one room that no person named: it has the name of its number, or a free one.
+
+    Raises DataError.
+    """
+    from station.places.rooms.identity import NAME_PREFIX  # SciPy, as in planning.py
+
+    plan = require_plan(place_map)
+    room = find_room(place_map, room_id)
+    if room_id not in place_map.plan_edits.names:
+        return place_map
+    taken = {other.name.casefold() for other in plan.rooms if other is not room}
+    own = plan.rooms.index(room) + 1
+    names = (f"{NAME_PREFIX}{number}" for number in (own, *range(1, len(plan.rooms) + 1)))
+    name = next(name for name in names if name.casefold() not in taken)
+    kept = {id: name for id, name in place_map.plan_edits.names.items() if id != room_id}
+    rooms = tuple(replace(other, name=name) if other is room else other for other in plan.rooms)
+    edits = replace(place_map.plan_edits, names=kept)
+    return with_plan(replace(place_map, plan_edits=edits), replace(plan, rooms=rooms))
+
+
 def with_room_split(place_map: PlaceMap, line: FloatArray) -> PlaceMap:
     """The map with a door drawn along a line (2, 2) on the ground, which parts a room in two.
 
     Raises:
-        DataError: the line is too short, or parts no room.
+        DataError: the line is too short, or parts no room: of most lines the plan as it is tells so, at once.
     """
     plan, edits = require_plan(place_map), place_map.plan_edits
     if np.linalg.norm(line[1] - line[0]) < MIN_LINE_M * plan.unit:
         raise DataError("the line is too short for a door; draw it from wall to wall")
+    if (why := why_useless(plan, line)) is not None:
+        raise DataError(why)
     changed = _edited(place_map, replace(edits, doors_drawn=(*edits.doors_drawn, line)))
-    if len(require_plan(changed).rooms) <= len(plan.rooms):
+    made = require_plan(changed)
+    is_door = any(door.is_drawn and np.array_equal(door.ends, line) for door in made.doors)
+    if not is_door and len(made.rooms) <= len(plan.rooms):  # a plan by an older station may have had more rooms
         raise DataError("the line parts no room; draw it right across one, from wall to wall")
     return changed
 
 
+def why_useless(plan: FloorPlan, line: FloatArray) -> str | None:
+    """Why no room of a plan falls apart along a line (2, 2), for a person; None: one does."""
+    from station.places.rooms.segments import line_cells, parted_along  # SciPy, as in planning.py
+
+    cells = line_cells(line, plan.low, plan.cell, plan.unit, plan.room.shape)
+    labels = plan.room.astype(np.int32) - NO_ROOM  # 0: no room
+    if not (labels[cells] > 0).any():
+        return "the line parts no room, it lies outside of all of them; draw it right across one, from wall to wall"
+    if parted_along(labels, [cells]).max() > labels.max():
+        return None
+    for xy in line:
+        if (room_id := room_id_at(plan, xy)) is not None:
+            [name] = [room.name for room in plan.rooms if room.id == room_id]
+            return f"the line parts no room, it ends inside of {name}; draw it right across, from wall to wall"
+    return "the line parts no room; draw it right across one, from wall to wall"
+
+
 def with_door_erased(place_map: PlaceMap, door_id: str) -> PlaceMap:
-    """The map without a door: what it led to is one room with where it led from.
+    """The map without a door: what it led to is one room with where it led from; of two it keeps a name by a person.
 
     Raises:
         DataError: there is no such door, or nobody went through it.
@@ -76,11 +118,12 @@ def with_door_erased(place_map: PlaceMap, door_id: str) -> PlaceMap:
         raise DataError(f'map "{place_map.name}" has no door with id "{door_id}"; GET /floorplan lists them')
     if door.rooms[1] is None:
         raise DataError("nobody went through this door, so no room is known behind it")
-    return with_rooms_merged(place_map, [door.rooms[0], door.rooms[1]], [door])
+    both = sorted((door.rooms[0], door.rooms[1]), key=lambda room_id: room_id not in place_map.plan_edits.names)
+    return with_rooms_merged(place_map, both, [door])
 
 
 def with_rooms_merged(place_map: PlaceMap, room_ids: Sequence[str], doors: Sequence[Door] | None = None) -> PlaceMap:
-    """The map with several rooms as one, which keeps id and name of the first.
+    """The map with several rooms as one, which keeps id and name of the first, also in that part if it is split again.
 
     `doors` between them are erased, by default all that there are.
 
@@ -96,7 +139,11 @@ def with_rooms_merged(place_map: PlaceMap, room_ids: Sequence[str], doors: Seque
     for door in between:
         edits = _without_door(edits, door)
     gone = {room.id for room in rooms[1:]}
-    edits = replace(edits, names={id: name for id, name in edits.names.items() if id not in gone})
+    edits = replace(
+        edits,
+        names={id: name for id, name in edits.names.items() if id not in gone},
+        middles={rooms[0].id: rooms[0].middle} | {id: xy for id, xy in edits.middles.items() if id not in gone},
+    )
     changed = _edited(place_map, edits)
     middles = np.array([room.middle for room in rooms])
     merged = {room_id_at(require_plan(changed), xy) for xy in middles}

@@ -1,10 +1,13 @@
-"""Rooms keep who they are: each one of a plan takes id and name of the room of the plan before that it covers most."""
+"""Rooms keep who they are: each one of a plan takes id and name of the room of the plan before that it covers most.
+
+Of a room that others were joined to, that is the part of it that it was before they were.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -16,13 +19,35 @@ NAME_PREFIX = "Room "
 
 
 def inherited(
-    labels: Labels, count: int, low: FloatArray, cell: float, R: FloatArray, previous: FloorPlan, T: FloatArray
+    labels: Labels,
+    count: int,
+    low: FloatArray,
+    cell: float,
+    R: FloatArray,
+    previous: FloorPlan,
+    T: FloatArray,
+    middles: Mapping[str, FloatArray],
 ) -> dict[int, int]:
     """Number in `labels` (from 1 on) -> number in `previous.rooms`, one-to-one, the largest overlaps first.
 
-    `T` (4, 4) carries the previous plan's map frame into this one's, and may be a similarity.
+    Args:
+        T: (4, 4) carries the previous plan's map frame into this one's, and may be a similarity.
+        middles: (2,) on this plan, by id: where rooms were before others joined them. What lies there goes before all.
     """
-    return one_to_one(shared_cells(labels, count, low, cell, R, previous, T))
+    shared = shared_cells(labels, count, low, cell, R, previous, T)
+    for old, room in enumerate(previous.rooms):
+        if (new := _label_at(labels, low, cell, middles.get(room.id))) and shared[new, old]:
+            shared[new, old] += labels.size
+    return one_to_one(shared)
+
+
+def _label_at(labels: Labels, low: FloatArray, cell: float, xy: FloatArray | None) -> int:
+    """0 outside of every room, and for nowhere."""
+    if xy is None:
+        return 0
+    i, j = np.floor((xy - low) / cell).astype(np.int64).tolist()
+    inside = 0 <= i < labels.shape[0] and 0 <= j < labels.shape[1]
+    return int(labels[i, j]) if inside else 0
 
 
 def one_to_one(shared: IntArray) -> dict[int, int]:

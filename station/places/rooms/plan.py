@@ -85,11 +85,11 @@ def _axes(navigation: Navigation, previous: FloorPlan | None, T: FloatArray | No
 def _carried(
     lines: Sequence[FloatArray], R: FloatArray, previous: FloorPlan | None, T: FloatArray | None
 ) -> list[FloatArray]:
-    """Lines (2, 2) of the previous plan in this one's axes."""
+    """Lines (n, 2) of the previous plan in this one's axes."""
     if previous is None or T is None:
         return list(lines)
     before = previous.R_ground_map
-    return [(transform(T, np.column_stack([line, np.zeros(2)]) @ before) @ R.T)[:, :2] for line in lines]
+    return [(transform(T, np.column_stack([line, np.zeros(len(line))]) @ before) @ R.T)[:, :2] for line in lines]
 
 
 def _rooms(
@@ -102,9 +102,12 @@ def _rooms(
 ) -> tuple[Room, ...]:
     labels, count = segments.labels, segments.count
     before = () if previous is None else previous.rooms
-    same = (
-        {} if previous is None else inherited(labels, count, ground.low, ground.cell, ground.R_ground_map, previous, T)
-    )
+    same = {}
+    if previous is not None:
+        R = ground.R_ground_map
+        carried = _carried([xy[None] for xy in edits.middles.values()], R, previous, T)
+        middles = {room_id: xy[0] for room_id, xy in zip(edits.middles, carried, strict=True)}
+        same = inherited(labels, count, ground.low, ground.cell, R, previous, T, middles)
     taken = [room.id for room in before]
     names = iter(new_names(count, [room.name for room in before] + list(edits.names.values())))
     rooms: list[Room] = []

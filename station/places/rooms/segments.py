@@ -56,8 +56,9 @@ def part_rooms(
     is_erased = [any(_is_same(p.ends * ground.unit, line) for line in erased) for p in layout.passages]
     gone = [(p.a, p.b) for p, is_none in zip(layout.passages, is_erased, strict=True) if is_none]
     room_of = _rooms_of(len(layout.edges), [*layout.joined, *gone])
-    lines = [_line_cells(ground, line) for line in drawn]
-    parted = _parted(_labels(ground, layout.edges, room_of), lines)
+    grid = (ground.low, ground.cell, ground.unit, ground.free.shape)
+    lines = [line_cells(line, *grid) for line in drawn]
+    parted = parted_along(_labels(ground, layout.edges, room_of), lines)
     number = _in_order_of_entering(ground, parted)
     labels, count = number[parted], int(number.max(initial=0))
     gates = [_gate_of(labels, ground, p) for p in layout.passages if room_of[p.a] != room_of[p.b]]
@@ -173,7 +174,7 @@ def _labels(ground: Ground, edges: FloatArray, room_of: Sequence[int]) -> Labels
     return labels
 
 
-def _parted(labels: Labels, lines: Sequence[Cells]) -> Labels:
+def parted_along(labels: Labels, lines: Sequence[Cells]) -> Labels:
     """Rooms fall apart along drawn lines: parts beside a line are rooms of their own."""
     out = labels.copy()
     for cells in lines:
@@ -207,14 +208,14 @@ def _gate_of(labels: Labels, ground: Ground, passage: Passage) -> Gate | None:
     return Gate(a, b, ends) if a and a != b else None
 
 
-def _line_cells(ground: Ground, line: FloatArray) -> Cells:
-    """Cells within half of DRAWN_M of a line."""
-    x, y = (ground.low[k] + (np.arange(ground.free.shape[k]) + 0.5) * ground.cell for k in range(2))
+def line_cells(line: FloatArray, low: FloatArray, cell: float, unit: float, shape: tuple[int, ...]) -> Cells:
+    """Cells within half of DRAWN_M of a line (2, 2)."""
+    x, y = (low[k] + (np.arange(shape[k]) + 0.5) * cell for k in range(2))
     p = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1) - line[0]
     d = line[1] - line[0]
     length = max(float(d @ d), 1e-12)
     nearest = np.clip((p @ d) / length, 0.0, 1.0)
-    return np.asarray(np.hypot(*np.moveaxis(p - nearest[..., None] * d, -1, 0)) <= 0.5 * DRAWN_M * ground.unit)
+    return np.asarray(np.hypot(*np.moveaxis(p - nearest[..., None] * d, -1, 0)) <= 0.5 * DRAWN_M * unit)
 
 
 def _is_same(ends: FloatArray, line: FloatArray) -> bool:

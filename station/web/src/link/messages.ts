@@ -696,6 +696,12 @@ export interface NewName {
   name: string;
 }
 
+/** What a room shall be called. */
+export interface NewRoomName {
+  /** null: as nobody had named it, Room 2 for example */
+  name: string | null;
+}
+
 export interface PanTiltCommand {
   type: "pan_tilt";
   pan: number;

@@ -15,7 +15,7 @@ export async function openRoom(room: PlanRoom, plan: FloorPlanModel): Promise<vo
   const input = make("input", {
     value: room.named ? room.name : "",
     maxlength: "80",
-    required: true,
+    required: !room.named, // empty: it shall have none any more
     id: "room-name",
     autocomplete: "off",
     autocapitalize: "sentences",
@@ -32,7 +32,7 @@ export async function openRoom(room: PlanRoom, plan: FloorPlanModel): Promise<vo
   );
   const name = async (text: string) => {
     try {
-      if (text !== room.name || !room.named) await call("PATCH", `/rooms/${room.id}`, { name: text });
+      if (text !== room.name || !room.named) await call("PATCH", `/rooms/${room.id}`, { name: text || null });
     } catch (error) {
       setText(why, sentence(error)); // the dialog stays, for another name
       return;
@@ -53,7 +53,13 @@ export async function openRoom(room: PlanRoom, plan: FloorPlanModel): Promise<vo
       form,
       why,
       mergeRow(room, plan, button),
-      make("div", { class: "row end" }, button("Close", null, "quiet")),
+      make(
+        "div",
+        { class: "row end" },
+        room.named &&
+          make("button", { type: "button", class: "quiet apart", onclick: () => void name("") }, "Remove name"),
+        button("Close", null, "quiet"),
+      ),
     ),
   );
   dialog.showModal();
@@ -93,12 +99,12 @@ function suggestions(all: NameSuggestionModel[], use: (name: string) => void): H
             make("img", { src: s.image, alt: `The picture that speaks for ${s.name}` }),
           ),
         make(
-          "div",
-          {},
+          "p",
+          { class: "name" },
           make("strong", {}, s.name),
           make("span", { class: "source" }, `${SOURCES[s.source]} · ${percent(s.confidence)}`),
-          make("p", { class: "note" }, s.reason),
         ),
+        make("p", { class: "note" }, s.reason),
         make("button", { type: "button", class: "small", onclick: () => use(s.name) }, "Use it"),
       ),
     ),
@@ -120,9 +126,10 @@ function mergeRow(
     make("option", { value: "", selected: true }, "choose a room"),
     ...others.map((r) => make("option", { value: r.id }, r.name)),
   );
-  const merge = button("Merge", () =>
-    undoablePlan(() => call("POST", "/rooms/merge", { rooms: [room.id, select.value] })),
-  );
+  // The first one's name is kept: the pressed room's, unless only the other one was named by a person.
+  const chosen = () => others.filter((r) => r.id === select.value);
+  const inOrder = () => [room, ...chosen()].sort((a, b) => Number(b.named) - Number(a.named)).map((r) => r.id);
+  const merge = button("Merge", () => undoablePlan(() => call("POST", "/rooms/merge", { rooms: inOrder() })));
   merge.disabled = true;
   select.addEventListener("change", () => (merge.disabled = !select.value));
   return make("div", { class: "row merge" }, make("label", { for: "one-room-with" }, "One room with"), select, merge);

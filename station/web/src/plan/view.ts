@@ -103,6 +103,8 @@ export class PlanView {
     this.svg.replaceChildren(drawPlan(plan, this.fit, height), this.moving);
     if (focused) this.svg.querySelector<SVGElement>(focused)?.focus();
     setText(by("plan-count"), this.summary);
+    for (const file of by("plan-files").querySelectorAll("a"))
+      file.download = `${plan.map}.${file.dataset.ending ?? ""}`;
     this.hint();
     this.drawMoving();
   }
@@ -187,7 +189,7 @@ export class PlanView {
 
   private takePen(isOut: boolean): void {
     this.pen.take(isOut);
-    this.button.setAttribute("aria-pressed", String(isOut));
+    setText(this.button, isOut ? "Cancel" : "Draw a door"); // a phone has no Esc
     this.hint();
   }
 

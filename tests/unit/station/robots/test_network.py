@@ -64,6 +64,26 @@ def test_the_networks_state_in_words(trip_ms: int, age_ms: int | None, rate_hz: 
     assert (state.grade, state.sentence) == (grade, words)
 
 
+@pytest.mark.parametrize(
+    ("trip_ms", "age_ms", "rate_hz", "words"),
+    [
+        (5, 60, 30.0, "the network is good"),
+        (80, 200, 9.0, "this computer is busy: 9 pictures a second, 200 ms old, 80 ms there and back; drive slowly"),
+        (
+            700,
+            900,
+            1.6,
+            "this computer is too busy: 2 pictures a second, 900 ms old, 700 ms there and back;"
+            " the robot stands, since stops would come too late; let it do less",
+        ),
+    ],
+)
+def test_no_network_is_blamed_where_robot_and_station_are_one_machine(
+    trip_ms: int, age_ms: int, rate_hz: float, words: str
+) -> None:
+    assert delays(trip_ms, age_ms).state(rate_hz, is_quiet=False, is_same_machine=True).sentence == words
+
+
 def test_a_silent_robot_is_no_good_network_whatever_came_before() -> None:
     assert delays(5, 60).state(30.0, is_quiet=True).grade == "silent"
 

@@ -15,6 +15,7 @@ from station.places.rooms.edits import (
     require_plan,
     room_id_at,
     with_door_erased,
+    with_name_taken_back,
     with_room_renamed,
     with_room_split,
     with_rooms_merged,
@@ -77,6 +78,67 @@ def test_a_line_that_parts_nothing_is_refused(one_room: PlaceMap) -> None:
         with_room_split(one_room, np.array([beside, beside + 1.0]))
     with pytest.raises(DataError, match="too short"):
         with_room_split(one_room, np.array([beside, beside]))
+
+
+def test_a_name_that_is_taken_back_leaves_a_number_that_no_room_has() -> None:
+    flat = with_two_rooms(make_map())
+    assert with_name_taken_back(flat, "room-k") is flat
+    for other, own in (("Living room", "Room 2"), ("Room 2", "Room 1")):
+        named = with_room_renamed(with_room_renamed(flat, "room-k", "Kitchen"), "room-l", other)
+        cleared = with_name_taken_back(named, "room-k")
+        assert [room.name for room in require_plan(cleared).rooms] == [other, own]
+        assert cleared.plan_edits.names == {"room-l": other}
+
+
+def test_a_name_stays_with_its_half_when_rooms_are_made_one_and_parted_again(one_room: PlaceMap) -> None:
+    x, y = require_plan(one_room).rooms[0].middle
+    off_middle = np.array([[x - 0.6, y - 6.0], [x - 0.6, y + 6.0]])
+    parted = with_room_split(one_room, off_middle)
+    smaller, larger = sorted(require_plan(parted).rooms, key=lambda room: room.area)
+    named = with_room_renamed(parted, smaller.id, "Pantry")
+    whole = with_rooms_merged(named, [smaller.id, larger.id])
+    again = with_room_split(planned(whole), off_middle)
+    assert sorted((r.area, r.name == "Pantry") for r in require_plan(again).rooms) == [
+        (smaller.area, True),
+        (larger.area, False),
+    ]
+
+
+def test_a_door_that_is_erased_takes_no_name_from_a_room(one_room: PlaceMap) -> None:
+    parted = with_room_split(one_room, across(require_plan(one_room)))
+    [door] = [door for door in require_plan(parted).doors if door.is_drawn]
+    for room_id in door.rooms:
+        assert room_id is not None
+        whole = with_door_erased(with_room_renamed(parted, room_id, "Pantry"), door.id)
+        assert [(r.id, r.name) for r in require_plan(whole).rooms] == [(room_id, "Pantry")]
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ([[30.0, 0.0], [30.0, 4.0]], "outside of all"),
+        ([[-3.0, 2.0], [2.0, 2.0]], "ends inside of Room 1"),
+        ([[1.0, 2.0], [2.0, 2.0]], "ends inside of Room 1"),
+        ([[-0.02, -1.0], [-0.02, 5.0]], "parts no room"),  # along a wall
+    ],
+)
+def test_a_line_that_parts_no_room_is_refused_before_a_plan_is_made(
+    one_room: PlaceMap, monkeypatch: pytest.MonkeyPatch, line: list[list[float]], words: str
+) -> None:
+    def none_is_made(_: PlaceMap) -> PlaceMap:
+        raise AssertionError("a plan was made of a line that parts no room")
+
+    monkeypatch.setattr(edits_module, "planned", none_is_made)
+    R = require_plan(one_room).R_ground_map[:2, :2]
+    with pytest.raises(DataError, match=words):
+        with_room_split(one_room, np.array(line) @ R.T)
+
+
+def test_a_door_is_drawn_in_a_plan_that_had_more_rooms_than_it_has_when_made_anew(one_room: PlaceMap) -> None:
+    plan = require_plan(one_room)
+    gone = replace(plan.rooms[0], id="room-gone", name="Gone")
+    older = replace(one_room, plan=replace(plan, rooms=(*plan.rooms, gone)))
+    assert len(require_plan(with_room_split(older, across(plan))).rooms) == 2
 
 
 def test_what_there_is_not_is_refused_by_name() -> None:
