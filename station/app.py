@@ -50,6 +50,7 @@ from station.workers.worker import Worker, warm_up
 logger = logging.getLogger(__name__)
 STATES: tuple[EventKind, ...] = ("robot", "driver", "pose", "landmarks", "map", "place", "bin", "calibration")
 BIN_CHECK_S = 3600.0
+ELSEWHERE_CHECK_S = 5.0
 ESTIMATED: dict[GuidedKind, str] = {
     "camera": "camera",
     "camera-imu": "camera and IMU",
@@ -125,6 +126,7 @@ class Station:
                     tasks.create_task(self._keep_running(robot), name=f"robot {robot.name}")
                 tasks.create_task(self._every_hour(), name="bin")
                 tasks.create_task(self._tidy_up(interrupted), name="recordings")
+                tasks.create_task(self._look_elsewhere(), name="navigations of other stations")
                 tasks.create_task(self.access.door.watch(), name="door")
                 started()
         finally:
@@ -172,10 +174,12 @@ class Station:
             current = robot.current_navigation
             if current.running is not None and current.running.id == navigation_id:
                 return await current.stop(navigation_id)
+        self.navigations.require_here(navigation_id)
         raise Conflict(f"{navigation.name} is not being recorded (it is {navigation.state})")
 
     def cancel_navigation(self, navigation_id: str) -> NavigationRecord:
         """Give up what SLAM still computes of a navigation whose recording has ended. Raises Unknown, Conflict."""
+        self.navigations.require_here(navigation_id)
         return self._robot_of(self.navigations.get(navigation_id)).current_navigation.cancel(navigation_id)
 
     def build_map(
@@ -250,6 +254,7 @@ class Station:
     def reprocess(self, navigation_id: str, backend: str | None) -> Job:
         """Run SLAM over a recording again, in the background. Raises Unknown, Conflict."""
         navigation = self.navigations.library.get(navigation_id)
+        self.navigations.require_here(navigation_id)
         recording = self.navigations.library.folder(navigation_id) / "recording.mcap"
         if navigation.state in ("recording", "finishing"):
             raise Conflict(f"{navigation.name} is {navigation.state}; wait until it is over")
@@ -448,6 +453,11 @@ class Station:
         while True:
             await asyncio.sleep(BIN_CHECK_S)
             await self._tidy_bin()
+
+    async def _look_elsewhere(self) -> None:
+        while True:
+            await asyncio.sleep(ELSEWHERE_CHECK_S)
+            await recover_recordings(self.navigations, await self.navigations.look_elsewhere(), self.events)
 
     async def _tidy_bin(self) -> None:
         """A disk or a database that is away, or takes no writes, must not end the robots nor keep the maps hidden."""

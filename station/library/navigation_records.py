@@ -10,7 +10,7 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, BinaryIO, Literal
 
 import msgspec
 
@@ -22,6 +22,7 @@ from station.errors import Unknown
 from station.files.unwritable import Unwritable, cannot_write, why_unwritable
 from station.library.dated_id import free_dated_id
 from station.library.recording_ages import RecordingAges
+from station.recordings import writer_lock
 
 NavigationState = Literal["recording", "finishing", "ready", "failed"]
 RECORD = "record.json"
@@ -30,6 +31,9 @@ NAVIGATION = "navigation"
 OLD_RECORD = "drive.json"  # its name until November 2026
 AGES = "recording_ages.json"
 BIN = ".bin"  # the folder of deleted navigations
+HELD = ".held"  # in a navigation's folder, locked by the station that records or finishes it
+LEFT = "the station ended before this navigation was finished"
+UNDER_WAY: tuple[NavigationState, ...] = ("recording", "finishing")
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}")
 
 
@@ -63,11 +67,14 @@ class NavigationLibrary:
         self.recording_ages = RecordingAges(root / AGES)
         self.unwritable = ""  # a sentence, when `open` found that nothing can be written
         self._navigations: dict[str, NavigationRecord] = {}
+        self._held: dict[str, BinaryIO] = {}  # of the navigations that this station has under way
+        self._elsewhere: set[str] = set()  # navigations that another station has under way
 
     def open(self) -> list[NavigationRecord]:
         """Read what is there. Returns those that were under way when the station ended; they are failed now.
 
-        Where nothing can be written they are only known as failed until the station ends; `unwritable` says why then.
+        Those that another station has under way are left to it. Where nothing can be written they are only known as
+        failed until the station ends; `unwritable` says why then.
         Raises DataError: there is no such folder and none can be made.
         """
         interrupted = []
@@ -86,23 +93,83 @@ class NavigationLibrary:
         folders = [path for path in here if _ID.fullmatch(path.name) and path.is_dir()]
         for folder in folders:
             settle_folders(folder, NAVIGATION)
-            try:
-                navigation = _read_record(folder)
-            except (OSError, msgspec.DecodeError):
-                if not (folder / RECORDING).is_file():
-                    continue  # half a navigation of a killed station, in which nothing was recorded yet
-                navigation = _without_record(folder)
-            if navigation.state in ("recording", "finishing"):
-                navigation = replace(
-                    navigation, state="failed", message="the station ended before this navigation was finished"
-                )
-                try:
-                    self.store(navigation)
-                except Unwritable:
-                    self.remember(navigation)
-                interrupted.append(navigation)
-            self._navigations[navigation.id] = navigation
+            if (left := self._learn(folder)) is not None:
+                interrupted.append(left)
         return interrupted
+
+    def look_elsewhere(self) -> list[NavigationRecord]:
+        """Read again what other stations had under way. Returns what has changed; what its station left is failed."""
+        changed = []
+        for navigation_id in sorted(self._elsewhere):
+            known = self._navigations[navigation_id]
+            self._learn(self.folder(navigation_id))
+            now = self._navigations.get(navigation_id)
+            if now is not None and now != known:
+                changed.append(now)
+        return changed
+
+    def is_elsewhere(self, navigation_id: str) -> bool:
+        """Whether another station has it under way."""
+        return navigation_id in self._elsewhere
+
+    def _learn(self, folder: Path) -> NavigationRecord | None:
+        """Know the navigation in a folder. Returns it where its station left it under way; it is failed now."""
+        found, is_held = _find(folder), False
+        if found is not None and found.state in UNDER_WAY:
+            is_held = self._is_held_elsewhere(folder)
+            found = found if is_held else _find(folder)  # its station may have ended it between the two
+        self._elsewhere.discard(folder.name)
+        if found is None:
+            self._navigations.pop(folder.name, None)
+        elif found.state not in UNDER_WAY:
+            self.remember(found)
+        elif is_held:
+            self._elsewhere.add(found.id)
+            self.remember(replace(found, message="another station with this data folder works on it"))
+        else:
+            found = replace(found, state="failed", message=LEFT)
+            try:
+                self.store(found)
+            except Unwritable:
+                self.remember(found)
+            return found
+        return None
+
+    def _is_held_elsewhere(self, folder: Path) -> bool:
+        if folder.name in self._held:
+            return False
+        try:
+            with (folder / HELD).open("rb") as file:
+                return writer_lock.is_being_written(file)
+        except OSError:
+            return False
+
+    def hold(self, navigation_id: str) -> bool:
+        """Have a new navigation under way until its record is written as ended, or this program ends.
+
+        False: another station began one of this name. Raises Unwritable.
+        """
+        folder = self.folder(navigation_id)
+        try:
+            make_folder(folder)
+            file = (folder / HELD).open("wb")
+        except OSError as exc:
+            raise cannot_write(folder, exc) from exc
+        if not writer_lock.hold(file):
+            file.close()
+            return False
+        self._held[navigation_id] = file
+        return True
+
+    def _let_go(self, navigation_id: str) -> None:
+        if (file := self._held.pop(navigation_id, None)) is not None:
+            with file, contextlib.suppress(OSError):
+                (self.folder(navigation_id) / HELD).unlink()
+
+    def close(self) -> None:
+        """Let go of what is still under way: whoever opens the folder next finds it interrupted."""
+        while self._held:
+            self._held.popitem()[1].close()
 
     def list(self) -> list[NavigationRecord]:
         """Oldest first."""
@@ -144,6 +211,8 @@ class NavigationLibrary:
             (folder / OLD_RECORD).unlink(missing_ok=True)
         except OSError as exc:
             raise cannot_write(folder, exc) from exc
+        if navigation.state not in UNDER_WAY:
+            self._let_go(navigation.id)
 
     def remember(self, navigation: NavigationRecord) -> None:
         """Know it as long as the station runs. Returns at once."""
@@ -204,6 +273,7 @@ class NavigationLibrary:
     def discard(self, navigation_id: str) -> None:
         """Remove the files of a navigation that is not known, or not any more."""
         shutil.rmtree(self.folder(navigation_id), ignore_errors=True)
+        self._let_go(navigation_id)
 
 
 def _read_record(folder: Path) -> NavigationRecord:
@@ -212,6 +282,14 @@ def _read_record(folder: Path) -> NavigationRecord:
     path = named if named.exists() else folder / OLD_RECORD
     record = msgspec.json.decode(read_file(path, MAX_SETTINGS_BYTES), type=NavigationRecord)
     return replace(record, id=folder.name)  # somebody may have copied or renamed the folder
+
+
+def _find(folder: Path) -> NavigationRecord | None:
+    """The navigation in a folder; None where a killed station had recorded nothing of it yet."""
+    try:
+        return _read_record(folder)
+    except (OSError, msgspec.DecodeError):
+        return _without_record(folder) if (folder / RECORDING).is_file() else None
 
 
 def _without_record(folder: Path) -> NavigationRecord:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import TypeVar
@@ -11,7 +11,7 @@ from typing import TypeVar
 from shared.errors import DataError
 from station.errors import Conflict, Unknown
 from station.events import Notifier
-from station.library.navigation_records import NavigationLibrary, NavigationRecord
+from station.library.navigation_records import LEFT, NavigationLibrary, NavigationRecord
 from station.maps.editing import tidy_name
 from station.model.navigation import NavigationReport
 
@@ -48,6 +48,20 @@ class Navigations:
         if navigation.state != "ready":
             raise Conflict(f"{navigation.name} is {navigation.state}, not ready: {navigation.message}")
         return navigation
+
+    def require_here(self, navigation_id: str) -> None:
+        """Raises Unknown; Conflict where another station records or finishes it."""
+        navigation = self.library.get(navigation_id)
+        if self.library.is_elsewhere(navigation_id):
+            doing = "recorded" if navigation.state == "recording" else "finished"
+            raise Conflict(f"{navigation.name} is being {doing} by another station with this data folder; go there")
+
+    async def look_elsewhere(self) -> Sequence[NavigationRecord]:
+        """Know how navigations ended that other stations had under way. Returns those that a dead one left."""
+        changed = await self.in_order(self.library.look_elsewhere)
+        for navigation in changed:
+            self.notify(navigation)
+        return [navigation for navigation in changed if navigation.message == LEFT]
 
     def begin(self, navigation_id: str, counted: Callable[[], NavigationRecord]) -> None:
         """A navigation is being recorded until `end`; `counted` gives its record."""
@@ -89,6 +103,7 @@ class Navigations:
         """Wait until everything is written; nothing can be kept any more."""
         await asyncio.gather(*self._writing, return_exceptions=True)
         await asyncio.to_thread(self._disk.shutdown)
+        self.library.close()
 
     def notify(self, navigation: NavigationRecord) -> None:
         self._events.changed("navigation", navigation, navigation.id)
@@ -98,6 +113,7 @@ class Navigations:
 
         DataError for a bad name, or for a disk that does not take it: then the old name stays.
         """
+        self.require_here(navigation_id)
         navigation = self.library.get(navigation_id)
         name = tidy_name(name, "a navigation's name")
         if navigation.state in ("recording", "finishing"):
@@ -114,6 +130,7 @@ class Navigations:
 
     async def delete(self, navigation_id: str) -> None:
         """Put a navigation into the bin. Raises Unknown; Conflict while it is being recorded or finished."""
+        self.require_here(navigation_id)
         navigation = self.library.get(navigation_id)
         if navigation.state in ("recording", "finishing"):
             raise Conflict(_still(navigation))

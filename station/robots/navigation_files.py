@@ -48,6 +48,8 @@ def make_navigation(
         robot: what the station calls it.
     """
     navigation_id = library.new_id()
+    while not library.hold(navigation_id):
+        navigation_id = library.new_id()
     navigation = NavigationRecord(
         id=navigation_id,
         name=name or time.strftime("%-d %b, %H:%M", time.localtime()),

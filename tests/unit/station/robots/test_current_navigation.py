@@ -125,7 +125,7 @@ class Room:
         self.cannot_record = ""
 
     def _record(self, path: Path) -> NavigationRecorder:
-        path.parent.mkdir(parents=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
         if self.cannot_record:
             raise DataError(self.cannot_record)
         return self.recorder

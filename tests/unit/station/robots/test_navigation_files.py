@@ -29,3 +29,4 @@ def test_the_names_of_a_new_navigation_are_flushed_up_to_the_data_folder(
     recorder.close()
     folder = library.folder(navigation.id)
     assert {folder.parent, folder} <= set(flushed)
+    library.close()
