@@ -30,4 +30,4 @@ class MappingConfig:
     seed: int = 0
     matching: MatchConfig = field(default_factory=MatchConfig)
     min_track_length: int = 3
-    min_triangulation_angle_deg: float = 0.75
+    min_triangulation_angle_deg: float = 1.5
