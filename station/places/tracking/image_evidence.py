@@ -81,7 +81,7 @@ class ImageLikelihood:
     found: FloatArray = field(default_factory=lambda: np.zeros(0))  # (C,) share of the lost weight that goes to each
     corrects: Sequence[Correction | None] = ()  # (H,) None: by no candidate
     expected_by: Sequence[int | None] = ()  # (C,) the hypothesis that a candidate fits; None: it is a new one
-    counted_log_odds: Sequence[float] = ()  # (C,) how much the image counts for what each recognises
+    counted_log_odds: FloatArray = field(default_factory=lambda: np.zeros(0))  # (C,) that it counts for each
     alike: Sequence[Alike] = ()  # (H,) what each hypothesis has in common with others after the image (`twins.py`)
 
 
