@@ -1,6 +1,6 @@
 """Fit the numbers of floor plans (`station/places/rooms/fitted.json`) to flats mapped by SLAM, and write the file.
 
-    python -m benchmarks.fit_rooms --worlds home:900-901 plain:900-902 --cache DIR
+    python -m benchmarks.fit_rooms --worlds home:900-901 plain:900-902 --cache DIR [--feet]
 
 What walls and rooms look like is counted beside the simulator's truth. The six costs that are left are those with
 which the true rooms are worth more than any other set of rectangles that is found, by a margin that grows with how
