@@ -1,8 +1,8 @@
 """Fit the numbers of floor plans (`station/places/rooms/fitted.json`) to flats mapped by SLAM, and write the file.
 
-    python -m benchmarks.fit_rooms --worlds home:900-901 plain:900-902 --cache DIR
+    python -m benchmarks.fit_rooms --worlds home:900-901 plain:900-902 --cache DIR [--feet]
 
-What walls and rooms look like is counted beside the simulator's truth. The five costs that are left are those with
+What walls and rooms look like is counted beside the simulator's truth. The six costs that are left are those with
 which the true rooms are worth more than any other set of rectangles that is found, by a margin that grows with how
 wrong that set is (structured support vector machine with cutting planes: Tsochantaridis et al., JMLR 2005). None of
 these flats may be used to judge the result.
@@ -27,7 +27,9 @@ from robot.simulation.world import Room, World
 from shared.disk import replace_file
 from shared.geometry import FloatArray, IntArray, inverse_sim3, rotation_of, transform
 from station.places.making.scale import units_per_metre
-from station.places.rooms.plan import make_floor_plan
+from station.places.rooms.feet import FOOT_CLASSES
+from station.places.rooms.feet import UNSEEN as FOOT_UNSEEN
+from station.places.rooms.plan import gathered_surfaces, make_floor_plan
 from station.places.rooms.rectangles import SAME, Rectangle, find_rectangles
 from station.places.rooms.sides import Sides, gap_costs, gaps_of, weigh_sides
 from station.places.rooms.surfaces import (
@@ -37,16 +39,15 @@ from station.places.rooms.surfaces import (
     PIECE_M,
     SIDES,
     UNSEEN,
-    Seen,
+    Side,
     Surfaces,
-    find_surfaces,
 )
 from station.places.rooms.wall_model import GENERATED, WallModel, wall_model
 
 OFF_WALL_M = 0.2  # what counts as in a room, not at its walls
 AROUND_M = 1.5  # the flat counts as outside
 NEAR = 3  # planes to either side of a true wall
-COSTS = ("door", "gap", "gap_piece", "room", "area_weight")
+COSTS = ("door", "opening", "gap", "gap_piece", "room", "area_weight")
 MARGIN = 100.0  # nats by which true rooms should be ahead of what is wholly wrong
 STAY = 5.0  # nats by which a step to e times a cost must pay
 ROUNDS = 6
@@ -65,7 +66,7 @@ class Flat:
     @classmethod
     def of(cls, mapped: MappedRooms) -> Flat:
         R = make_floor_plan(mapped.place_map.navigation, ()).R_ground_map
-        surfaces = find_surfaces(Seen.of(mapped.place_map.navigation, R))
+        surfaces = gathered_surfaces(mapped.place_map.navigation, R)
         assert surfaces is not None
         return cls(mapped, R, surfaces)
 
@@ -78,12 +79,12 @@ class Flat:
         p = np.column_stack([p_world, np.zeros(len(p_world))])
         return (transform(inverse_sim3(self.mapped.T_world_map), p) @ self.R_ground_map.T)[:, :2] / self.unit
 
-    def classes(self, p_world: FloatArray, inwards: FloatArray) -> IntArray:
-        """(n,) of the pieces at points (n, 2) of the world, seen from the direction (2,)."""
+    def classes(self, of: dict[Side, IntArray], p_world: FloatArray, inwards: FloatArray) -> IntArray:
+        """(n,) those `of` the pieces at points (n, 2) of the world, seen from the direction (2,)."""
         R = self.R_ground_map @ rotation_of(self.mapped.T_world_map).T
         d = (R @ np.append(inwards, 0.0))[:2]
         axis = int(abs(d[1]) > abs(d[0]))
-        classes = self.surfaces.classes[axis, 1 if d[axis] > 0 else -1]
+        classes = of[axis, 1 if d[axis] > 0 else -1]
         p = self.on_ground(p_world) - self.surfaces.low
         plane = np.round(p[:, axis] / LINE_M).astype(np.int64)
         piece = np.floor(p[:, 1 - axis] / PIECE_M).astype(np.int64)
@@ -93,19 +94,32 @@ class Flat:
 
 def count_pieces(flats: Sequence[Flat]) -> FloatArray:
     """(CLASSES,) log odds of a piece of wall against a piece anywhere in a room."""
-    wall, inner = np.ones(CLASSES), np.ones(CLASSES)
+    odds = _odds(flats, [flat.surfaces.classes for flat in flats], CLASSES)
+    odds[UNSEEN] = 0.0  # without a landmark either: outside of flats all pieces are such, and nobody counted there
+    return odds
+
+
+def count_feet(flats: Sequence[Flat]) -> FloatArray:
+    """(FOOT_CLASSES,) the same of their feet; of flats without pictures nothing."""
+    seen = [flat for flat in flats if flat.surfaces.feet is not None]
+    odds = _odds(seen, [flat.surfaces.feet for flat in seen if flat.surfaces.feet is not None], FOOT_CLASSES)
+    odds[FOOT_UNSEEN] = 0.0
+    return odds
+
+
+def _odds(flats: Sequence[Flat], classes: Sequence[dict[Side, IntArray]], num_classes: int) -> FloatArray:
+    """(num_classes,) log odds of a piece of wall against a piece anywhere in a room."""
+    wall, inner = np.ones(num_classes), np.ones(num_classes)
     rng = np.random.default_rng(0)
-    for flat in flats:
+    for flat, of in zip(flats, classes, strict=True):
         for room in flat.mapped.world.rooms:
             for points, inwards in _walls(flat.mapped.world, room):
-                wall += np.bincount(flat.classes(points, inwards), minlength=CLASSES)
+                wall += np.bincount(flat.classes(of, points, inwards), minlength=num_classes)
             low, high = np.array([room.x0_m, room.y0_m]) + OFF_WALL_M, np.array([room.x1_m, room.y1_m]) - OFF_WALL_M
             for inwards in (np.array(d) for d in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))):
                 points = rng.uniform(low, high, (SAMPLES // 4, 2))
-                inner += np.bincount(flat.classes(points, inwards), minlength=CLASSES)
-    odds = np.log(wall / wall.sum()) - np.log(inner / inner.sum())
-    odds[UNSEEN] = 0.0  # without a landmark either: outside of flats all pieces are such, and nobody counted there
-    return np.asarray(odds)
+                inner += np.bincount(flat.classes(of, points, inwards), minlength=num_classes)
+    return np.asarray(np.log(wall / wall.sum()) - np.log(inner / inner.sum()))
 
 
 def _walls(world: World, room: Room) -> list[tuple[FloatArray, FloatArray]]:
@@ -161,7 +175,7 @@ def score(r: Rectangle, sides: Sides, model: WallModel) -> float:
 
 
 def worth(rectangles: Sequence[Rectangle], sides: Sides, model: WallModel) -> FloatArray:
-    """(6,) what a set of rectangles gains from walls, then how often each of the costs counts."""
+    """(7,) what a set of rectangles gains from walls, then how often each of the costs counts."""
     total = np.zeros(1 + len(COSTS))
     for r in rectangles:
         for side in SIDES:
@@ -170,10 +184,12 @@ def worth(rectangles: Sequence[Rectangle], sides: Sides, model: WallModel) -> Fl
             total[0] += sides.odds[side][plane, pieces][is_wall].sum()
             for begin, end in gaps_of(sides.is_wall[side][plane]):  # those at the ends count in part
                 part = max(min(end, pieces.stop) - max(begin, pieces.start), 0) / (end - begin)
-                is_door = gap_costs(np.array([end - begin]), model)[0] == model.door
-                total[1:4] += part * np.array([is_door, not is_door, 0 if is_door else end - begin])
+                cost = gap_costs(np.array([end - begin]), model)[0]
+                is_door, is_opening = cost == model.door, cost == model.opening
+                is_other = not (is_door or is_opening)
+                total[1:5] += part * np.array([is_door, is_opening, is_other, is_other * (end - begin)])
         area = sides.area[r.x1, r.y1] - sides.area[r.x0, r.y1] - sides.area[r.x1, r.y0] + sides.area[r.x0, r.y0]
-        total[4:] += np.array([1.0, area / model.area_weight])
+        total[5:] += np.array([1.0, area / model.area_weight])
     return total
 
 
@@ -246,20 +262,34 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--worlds", nargs="+", required=True)
     parser.add_argument("--cache", type=Path, required=True, help="folder of mapped flats, outside of the repository")
+    parser.add_argument("--feet", action="store_true", help="count the feet of walls alone; all else stays as it is")
     a = parser.parse_args()
     names = parse_worlds(a.worlds, "slam")
     flats = [Flat.of(mapped) for mapped in (mapped_rooms(name, a.cache) for name in names) if mapped is not None]
+    before = wall_model()
+    command = f"python -m benchmarks.fit_rooms --worlds {' '.join(a.worlds)}"
+    if a.feet:
+        worlds = tuple(dict.fromkeys([*before.worlds, *(str(name) for name in names)]))
+        foot = tuple(np.round(count_feet(flats), 2).tolist())
+        made_by = f"{before.made_by.partition('; ')[0]}; {command} --feet"
+        _write(msgspec.structs.replace(before, made_by=made_by, worlds=worlds, foot=foot))
+        return 0
     model = msgspec.structs.replace(
-        wall_model(),
-        made_by=f"python -m benchmarks.fit_rooms --worlds {' '.join(a.worlds)}",
+        before,
+        made_by=command,
         worlds=tuple(str(name) for name in names),
+        foot=tuple(np.round(count_feet(flats), 2).tolist()),
         wall=tuple(np.round(count_pieces(flats), 2).tolist()),
         area=tuple(np.round(count_cells(flats), 2).tolist()),
     )
     model = fit_costs(flats, model)
     model = msgspec.structs.replace(model, lead=float(f"{fit_lead(flats, model):.3g}"))
-    replace_file(GENERATED, msgspec.json.format(msgspec.json.encode(model), indent=1) + b"\n")
+    _write(model)
     return 0
+
+
+def _write(model: WallModel) -> None:
+    replace_file(GENERATED, msgspec.json.format(msgspec.json.encode(model), indent=1) + b"\n")
 
 
 if __name__ == "__main__":

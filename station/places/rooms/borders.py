@@ -10,12 +10,11 @@ import numpy as np
 
 from shared.geometry import FloatArray, IntArray
 from station.places.rooms.rectangles import Rectangle
-from station.places.rooms.sides import DOOR_PIECES, Sides, gaps_of
+from station.places.rooms.sides import DOOR_PIECES, LEAST_ODDS, PASSAGE_PIECES, Sides, gaps_of, passage_costs
 from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Surfaces
 from station.places.rooms.wall_model import WallModel
 
 THICK_M = 0.35  # a wall at most, and errors of both its faces
-PASSED = -1e4  # nats for a wall where the body was, in sums
 LEAST_DOOR_M = 0.45  # no robot passes a narrower gap
 
 
@@ -84,15 +83,15 @@ def wall_with_doors(odds: FloatArray, model: WallModel) -> tuple[float, list[tup
     Args:
         odds: (pieces,) for a wall, minus infinity where the body passed.
     """
-    wall = np.concatenate([[0.0], np.cumsum(np.maximum(odds, PASSED))])  # all that is before a piece
+    wall = np.concatenate([[0.0], np.cumsum(np.maximum(odds, LEAST_ODDS))])  # all that is before a piece
     # Of a wall up to a piece, less all of it: the doors that it has, the last of which may end so late.
     best: list[tuple[float, list[tuple[int, int]]]] = []
     for end in range(len(wall)):
         found = best[-1] if best else (0.0, [])
-        for pieces in DOOR_PIECES:
+        for pieces, cost in zip(PASSAGE_PIECES.tolist(), passage_costs(model).tolist(), strict=True):
             if pieces <= end:
                 before = best[max(end - pieces - DOOR_PIECES[0], 0)]
-                gained = before[0] - float(wall[end] - wall[end - pieces]) - model.door
+                gained = before[0] - float(wall[end] - wall[end - pieces]) - cost
                 if gained > found[0]:
                     found = gained, [*before[1], (end - pieces, end)]
         best.append(found)

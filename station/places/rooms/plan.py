@@ -16,9 +16,10 @@ from station.places.making.scale import ground_rotation
 from station.places.rooms.axes import plan_axes, turn_to_walls
 from station.places.rooms.belonging import rooms_of_places
 from station.places.rooms.evidence import Ground, gather_evidence
+from station.places.rooms.feet import with_feet
 from station.places.rooms.identity import inherited, new_id, new_names
 from station.places.rooms.segments import Gate, Labels, Segments, part_rooms
-from station.places.rooms.surfaces import Seen, find_surfaces
+from station.places.rooms.surfaces import Seen, Surfaces, find_surfaces
 from station.places.rooms.wall_model import WallModel, wall_model
 
 NO_EDITS = PlanEdits()
@@ -55,7 +56,7 @@ def plan_along(
     R, T = R_ground_map, np.eye(4) if T_map_previous is None else T_map_previous
     ground = gather_evidence(navigation, R)
     drawn, erased = (_carried(lines, R, previous, T_map_previous) for lines in (edits.doors_drawn, edits.doors_erased))
-    segments = part_rooms(ground, find_surfaces(Seen.of(navigation, R)), model, drawn, erased)
+    segments = part_rooms(ground, gathered_surfaces(navigation, R), model, drawn, erased)
     labels = segments.labels
     rooms = _rooms(ground, segments, navigation.id, edits, previous, T)
     plan = FloorPlan(
@@ -70,6 +71,12 @@ def plan_along(
         walls=segments.walls,
     )
     return replace(plan, room_of_place=rooms_of_places(plan, navigation, places))
+
+
+def gathered_surfaces(navigation: Navigation, R_ground_map: FloatArray) -> Surfaces | None:
+    """All that says where walls are, in these axes (3, 3); None where nothing does."""
+    surfaces = find_surfaces(Seen.of(navigation, R_ground_map))
+    return None if surfaces is None else with_feet(surfaces, navigation, R_ground_map)
 
 
 def _axes(navigation: Navigation, previous: FloorPlan | None, T: FloatArray | None) -> FloatArray:

@@ -7,12 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.geometry import FloatArray, IntArray
-from station.places.rooms.lengths import DOOR_M
+from station.places.rooms.lengths import DOOR_M, OPENING_M
 from station.places.rooms.surfaces import PIECE_M, SIDES, Side, Surfaces
 from station.places.rooms.wall_model import WallModel
 from station.places.space.space import Cells
 
 DOOR_PIECES = range(round(DOOR_M[0] / PIECE_M) - 1, round(DOOR_M[1] / PIECE_M) + 2)  # either end may err by half of one
+OPENING_PIECES = range(DOOR_PIECES.stop, round(OPENING_M[1] / PIECE_M) + 2)
+PASSAGE_PIECES = np.array([*DOOR_PIECES, *OPENING_PIECES])
+BESIDE = DOOR_PIECES.start  # pieces of wall between two passages at least: several in a row are an open side
+LEAST_ODDS = -1e4  # nats for a wall where the body was, in sums
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,8 +31,11 @@ class Sides:
 
 def weigh_sides(surfaces: Surfaces, model: WallModel) -> Sides:
     """Odds of all planes at once."""
-    table = np.array(model.wall)
-    odds = {side: np.where(surfaces.passed[side[0]], -np.inf, table[surfaces.classes[side]]) for side in SIDES}
+    odds = {side: np.array(model.wall)[classes] for side, classes in surfaces.classes.items()}
+    for side, classes in (surfaces.feet or {}).items():
+        odds[side] += model.foot_weight * np.array(model.foot)[classes]
+    for side in SIDES:
+        odds[side][surfaces.passed[side[0]]] = -np.inf
     is_wall, total = {}, {}
     for side in SIDES:
         is_wall[side] = likeliest_walls(odds[side], model)
@@ -42,21 +49,23 @@ def weigh_sides(surfaces: Surfaces, model: WallModel) -> Sides:
 
 
 def likeliest_walls(odds: FloatArray, model: WallModel) -> Cells:
-    """(planes, pieces) the best sequence of wall and gaps (Viterbi); a door may be a gap of the usual widths."""
+    """(planes, pieces) the best sequence of wall and gaps (Viterbi); doors and openings are cheaper ones."""
     n, count = odds.shape
     wall = np.full((n, count + 1), -np.inf)  # best score so far that ends with a wall before piece j
     gap = np.full((n, count + 1), -np.inf)
     wall[:, 0], gap[:, 0] = 0.0, -model.gap
+    costs = passage_costs(model)
+    sums = np.concatenate([np.zeros((n, 1)), np.maximum(odds, LEAST_ODDS).cumsum(axis=1)], axis=1)
     came = np.zeros((n, count + 1), dtype=np.int64)  # how many pieces of gap lie before the wall: 0, a door, or -1
     opened = np.zeros((n, count + 1), dtype=np.bool_)
     for j in range(1, count + 1):
-        before = np.stack(
-            [wall[:, j - 1], gap[:, j - 1], *(wall[:, max(j - 1 - d, 0)] - model.door for d in DOOR_PIECES)]
-        )
-        before[2:][np.array(DOOR_PIECES) > j - 1] = -np.inf
-        best = before.argmax(axis=0)
-        came[:, j] = np.array([0, -1, *DOOR_PIECES])[best]
-        wall[:, j] = before[best, np.arange(n)] + odds[:, j - 1]
+        end = j - 1 - PASSAGE_PIECES  # of the wall before each passage
+        begin = np.maximum(end - BESIDE, 0)
+        passed = wall[:, begin] + sums[:, np.maximum(end, 0)] - sums[:, begin] - costs
+        before = np.column_stack([wall[:, j - 1], gap[:, j - 1], np.where(end < 0, -np.inf, passed)])
+        best = before.argmax(axis=1)
+        came[:, j] = np.array([0, -1, *PASSAGE_PIECES])[best]
+        wall[:, j] = before[np.arange(n), best] + odds[:, j - 1]
         opened[:, j] = wall[:, j - 1] - model.gap > gap[:, j - 1]
         gap[:, j] = np.maximum(wall[:, j - 1] - model.gap, gap[:, j - 1]) - model.gap_piece
     return _traced(wall[:, -1] >= gap[:, -1], came, opened)
@@ -66,13 +75,17 @@ def _traced(ends_with_wall: Cells, came: IntArray, opened: Cells) -> Cells:
     """Labels (planes, pieces) from how each was reached."""
     count = came.shape[1] - 1
     is_wall = np.zeros((len(came), count), dtype=np.bool_)
-    here, skip = ends_with_wall.copy(), np.zeros(len(came), dtype=np.int64)  # pieces of a door still to pass
+    here = ends_with_wall.copy()
+    skip, stay = (np.zeros(len(came), dtype=np.int64) for _ in range(2))  # pieces of a passage, then of wall, to pass
     for j in range(count, 0, -1):
         passing = skip > 0
+        staying = ~passing & (stay > 0)
         is_wall[:, j - 1] = here & ~passing
         skip[passing] -= 1
-        of_wall, of_gap = here & ~passing, ~here & ~passing
+        stay[staying] -= 1
+        of_wall, of_gap = here & ~passing & ~staying, ~here & ~passing
         skip[of_wall] = np.maximum(came[of_wall, j], 0)
+        stay[of_wall] = np.where(came[of_wall, j] > 0, BESIDE, 0)
         here[of_wall] = came[of_wall, j] >= 0
         here[of_gap] = opened[of_gap, j]
     return is_wall
@@ -92,8 +105,14 @@ def score_of(is_wall: Cells, odds: FloatArray, model: WallModel) -> FloatArray:
 def gap_costs(pieces: IntArray, model: WallModel) -> FloatArray:
     """(n,) of gaps of so many pieces."""
     cost = model.gap + model.gap_piece * pieces
-    is_door = np.isin(pieces, DOOR_PIECES)
-    return np.asarray(np.where(is_door, np.minimum(cost, model.door), cost))
+    for widths, least in ((DOOR_PIECES, model.door), (OPENING_PIECES, model.opening)):
+        cost = np.where(np.isin(pieces, widths), np.minimum(cost, least), cost)
+    return np.asarray(cost)
+
+
+def passage_costs(model: WallModel) -> FloatArray:
+    """(n,) of doors and openings of PASSAGE_PIECES."""
+    return np.where(np.isin(PASSAGE_PIECES, DOOR_PIECES), model.door, model.opening)
 
 
 def gaps_of(is_wall: Cells) -> list[tuple[int, int]]:

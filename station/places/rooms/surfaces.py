@@ -80,6 +80,7 @@ class Surfaces:
     area_classes: npt.NDArray[np.intp]  # (X, Y) of cells as wide as a piece: how many sights passed, or the body
     driven: Cells  # (X, Y) by the body
     passed: dict[int, Cells]  # for planes across each axis (planes, pieces): the body was there, so no wall is
+    feet: dict[Side, npt.NDArray[np.intp]] | None = None  # (planes, pieces) as `feet.py` says; None: nobody looked
 
 
 def find_surfaces(seen: Seen) -> Surfaces | None:

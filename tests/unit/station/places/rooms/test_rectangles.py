@@ -14,7 +14,7 @@ from station.places.rooms.borders import find_borders, settled, wall_with_doors,
 from station.places.rooms.plan import plan_along
 from station.places.rooms.rectangles import Packed, Rectangle, _Choices, _packed, find_rectangles
 from station.places.rooms.segments import _passed_unseen
-from station.places.rooms.sides import DOOR_PIECES, Sides, weigh_sides
+from station.places.rooms.sides import DOOR_PIECES, PASSAGE_PIECES, Sides, passage_costs, weigh_sides
 from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Seen, Surfaces, find_surfaces
 from station.places.rooms.wall_model import wall_model
 from tests.support.flats import DOOR, ELL, TWO_ROOMS, WAY_OF_ELL, WAY_OF_TWO, Wall, navigate
@@ -103,6 +103,16 @@ def test_a_border_passed_in_one_place_has_a_door_there() -> None:
     assert begin <= 12 and end >= 20
 
 
+def test_an_opening_of_two_metres_in_a_wall_parts_two_rooms_and_one_as_wide_as_the_arm_of_an_ell_does_not() -> None:
+    odds = np.full(42, 2.0)
+    odds[12:32] = -np.inf
+    nats, ((begin, end),) = wall_with_doors(odds, wall_model())
+    assert nats > 0.0
+    assert begin <= 12 and end >= 32
+    odds[4:26] = -np.inf
+    assert wall_with_doors(odds[:30], wall_model())[0] < 0.0
+
+
 def test_two_doors_with_a_wall_between_are_two_doors() -> None:
     odds = np.full(90, 2.0)
     odds[10:19] = odds[60:70] = -np.inf
@@ -154,13 +164,13 @@ def test_walls_and_doors_are_the_best_of_all_ways(odds: list[float]) -> None:
         """Of what is behind a piece, where a door may begin."""
         tried = [sum(odds[begin:])]
         for at in range(begin, len(odds)):
-            for pieces in DOOR_PIECES:
+            for pieces, cost in zip(PASSAGE_PIECES.tolist(), passage_costs(model).tolist(), strict=True):
                 if (end := at + pieces) <= len(odds):
                     rest = sum(odds[end:])
                     after = end + DOOR_PIECES[0]
                     if after < len(odds):
                         rest = max(rest, sum(odds[end:after]) + best_from[after])
-                    tried.append(sum(odds[begin:at]) - model.door + rest)
+                    tried.append(sum(odds[begin:at]) - cost + rest)
         return max(tried)
 
     best_from: dict[int, float] = {}

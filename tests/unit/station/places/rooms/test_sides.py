@@ -11,7 +11,7 @@ import pytest
 from station.places.rooms.sides import best_runs, gap_costs, likeliest_walls, score_of
 from station.places.rooms.wall_model import wall_model
 
-MODEL = msgspec.structs.replace(wall_model(), door=4.0, gap=8.0, gap_piece=0.5)
+MODEL = msgspec.structs.replace(wall_model(), door=4.0, opening=7.0, gap=8.0, gap_piece=0.5)
 
 
 def odds_of(*runs: tuple[int, float]) -> np.ndarray:
@@ -28,8 +28,8 @@ def test_one_false_sight_makes_no_gap() -> None:
 
 
 def test_a_gap_as_wide_as_a_door_costs_less_than_others() -> None:
-    narrow, door, wide = gap_costs(np.array([3, 9, 25]), MODEL)
-    assert door == MODEL.door < narrow < wide
+    narrow, door, opening, wide = gap_costs(np.array([3, 9, 20, 35]), MODEL)
+    assert door == MODEL.door < opening == MODEL.opening < narrow < wide
 
 
 @pytest.mark.parametrize("seed", range(8))
