@@ -457,7 +457,10 @@ class Station:
     async def _look_elsewhere(self) -> None:
         while True:
             await asyncio.sleep(ELSEWHERE_CHECK_S)
-            await recover_recordings(self.navigations, await self.navigations.look_elsewhere(), self.events)
+            try:
+                await recover_recordings(self.navigations, await self.navigations.look_elsewhere(), self.events)
+            except (RobotSystemError, OSError) as exc:  # it must not end the robots
+                logger.warning("what other stations with this data folder recorded could not be read: %s", exc)
 
     async def _tidy_bin(self) -> None:
         """A disk or a database that is away, or takes no writes, must not end the robots nor keep the maps hidden."""

@@ -7,8 +7,9 @@ import json
 import os
 import re
 import shutil
+import stat
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, BinaryIO, Literal
 
@@ -59,6 +60,15 @@ class NavigationRecord:
     scale: Literal["metric", "arbitrary", ""] = ""
 
 
+@dataclass(frozen=True, slots=True)
+class Elsewhere:
+    """What became of navigations that other stations had under way."""
+
+    changed: list[NavigationRecord] = field(default_factory=list)
+    left: list[NavigationRecord] = field(default_factory=list)  # of these: by a station that ended before
+    gone: list[str] = field(default_factory=list)  # ids
+
+
 class NavigationLibrary:
     """All navigations in one folder. What writes, moves or removes waits for the disk: call it in one thread."""
 
@@ -97,16 +107,19 @@ class NavigationLibrary:
                 interrupted.append(left)
         return interrupted
 
-    def look_elsewhere(self) -> list[NavigationRecord]:
-        """Read again what other stations had under way. Returns what has changed; what its station left is failed."""
-        changed = []
+    def look_elsewhere(self) -> Elsewhere:
+        """Read again what other stations had under way when this one began; what its station left is failed."""
+        seen = Elsewhere()
         for navigation_id in sorted(self._elsewhere):
             known = self._navigations[navigation_id]
-            self._learn(self.folder(navigation_id))
+            if (left := self._learn(self.folder(navigation_id))) is not None:
+                seen.left.append(left)
             now = self._navigations.get(navigation_id)
-            if now is not None and now != known:
-                changed.append(now)
-        return changed
+            if now is None:
+                seen.gone.append(navigation_id)
+            elif now != known:
+                seen.changed.append(now)
+        return seen
 
     def is_elsewhere(self, navigation_id: str) -> bool:
         """Whether another station has it under way."""
@@ -151,13 +164,14 @@ class NavigationLibrary:
         """
         folder = self.folder(navigation_id)
         try:
-            make_folder(folder)
+            make_folder(self._root)
+            folder.mkdir()  # of two stations one makes it, also where files cannot be locked
             file = (folder / HELD).open("wb")
+        except FileExistsError:
+            return False
         except OSError as exc:
             raise cannot_write(folder, exc) from exc
-        if not writer_lock.hold(file):
-            file.close()
-            return False
+        writer_lock.hold(file)
         self._held[navigation_id] = file
         return True
 
@@ -229,6 +243,7 @@ class NavigationLibrary:
     def delete(self, navigation_id: str) -> None:
         """Forget a navigation; `restore` brings it back until it is purged. Raises Unknown."""
         self.get(navigation_id)
+        self._let_go(navigation_id)
         try:
             make_folder(self._root / BIN)
             os.rename(self.folder(navigation_id), self._root / BIN / navigation_id)
@@ -272,8 +287,10 @@ class NavigationLibrary:
 
     def discard(self, navigation_id: str) -> None:
         """Remove the files of a navigation that is not known, or not any more."""
+        held = self._held.pop(navigation_id, None)
         shutil.rmtree(self.folder(navigation_id), ignore_errors=True)
-        self._let_go(navigation_id)
+        if held is not None:  # its name may be another station's by now
+            held.close()
 
 
 def _read_record(folder: Path) -> NavigationRecord:
@@ -289,10 +306,15 @@ def _find(folder: Path) -> NavigationRecord | None:
     try:
         return _read_record(folder)
     except (OSError, msgspec.DecodeError):
-        return _without_record(folder) if (folder / RECORDING).is_file() else None
+        return _without_record(folder)
 
 
-def _without_record(folder: Path) -> NavigationRecord:
+def _without_record(folder: Path) -> NavigationRecord | None:
     """A navigation of which only the recording is left."""
-    started_s = (folder / RECORDING).stat().st_mtime
-    return NavigationRecord(folder.name, folder.name, "recording", started_s, "unknown")
+    try:
+        recording = (folder / RECORDING).stat()
+    except OSError:
+        return None
+    if not stat.S_ISREG(recording.st_mode):
+        return None
+    return NavigationRecord(folder.name, folder.name, "recording", recording.st_mtime, "unknown")

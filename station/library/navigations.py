@@ -11,7 +11,7 @@ from typing import TypeVar
 from shared.errors import DataError
 from station.errors import Conflict, Unknown
 from station.events import Notifier
-from station.library.navigation_records import LEFT, NavigationLibrary, NavigationRecord
+from station.library.navigation_records import NavigationLibrary, NavigationRecord
 from station.maps.editing import tidy_name
 from station.model.navigation import NavigationReport
 
@@ -58,10 +58,12 @@ class Navigations:
 
     async def look_elsewhere(self) -> Sequence[NavigationRecord]:
         """Know how navigations ended that other stations had under way. Returns those that a dead one left."""
-        changed = await self.in_order(self.library.look_elsewhere)
-        for navigation in changed:
+        seen = await self.in_order(self.library.look_elsewhere)
+        for navigation in seen.changed:
             self.notify(navigation)
-        return [navigation for navigation in changed if navigation.message == LEFT]
+        for navigation_id in seen.gone:
+            self._forget(navigation_id)
+        return seen.left
 
     def begin(self, navigation_id: str, counted: Callable[[], NavigationRecord]) -> None:
         """A navigation is being recorded until `end`; `counted` gives its record."""
@@ -139,6 +141,9 @@ class Navigations:
             await self.in_order(self.library.delete, navigation_id)
         finally:
             self.release(navigation_id)
+        self._forget(navigation_id)
+
+    def _forget(self, navigation_id: str) -> None:
         self._events.forget("navigation", navigation_id)
         self._events.changed("navigation", None)
 

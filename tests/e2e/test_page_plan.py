@@ -39,6 +39,7 @@ async def test_a_room_is_named_by_clicking_into_it_and_by_a_suggestion(room: Roo
     await expect(page.locator("#room-dialog .suggestions .source")).to_have_text("sticker · 98 %")
     await page.locator("#room-dialog").get_by_role("button", name="Use it").click()
     await expect(page.locator(".plan-names text[data-room=room-k]")).to_have_text("Kitchen")
+    await expect(page.locator("#toast")).to_contain_text("Kitchen")  # no more of the change before
     await page.locator("#toast").get_by_role("button", name="Undo").click()
     await expect(page.locator(".plan-names text[data-room=room-k]")).to_have_text("Room 2")
     assert await page.locator(".place-label").count() == 0  # nobody would see those of the 3D view

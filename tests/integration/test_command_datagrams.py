@@ -12,8 +12,9 @@ from robot.commands import notice
 from shared.access import Role
 from shared.messages import Drive, StationMessage, Stop
 from shared.session import Event
-from station.robots import link as link_module
+from station.access import connecting
 from station.robots.datagrams import PictureDatagrams
+from station.robots.link import RobotLink
 from station.robots.link_commands import DueMessages
 from tests.support.link import Bench, linked, running_robot, until
 
@@ -28,7 +29,7 @@ def beside(monkeypatch: pytest.MonkeyPatch) -> None:
             put(due, message)
 
     monkeypatch.setattr(DueMessages, "put", put_others)
-    monkeypatch.setattr(link_module, "is_loopback", lambda _: False)
+    monkeypatch.setattr(connecting, "is_loopback", lambda _: False)
 
 
 @pytest.fixture
@@ -51,7 +52,7 @@ def said(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
     return heard
 
 
-async def drive_until(bench: Bench, link: link_module.RobotLink, condition: Callable[[], object]) -> None:
+async def drive_until(bench: Bench, link: RobotLink, condition: Callable[[], object]) -> None:
     async def hold() -> None:
         while True:
             link.commands.drive(0.1, 0.0, 200)

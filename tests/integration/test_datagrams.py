@@ -15,7 +15,7 @@ from robot.datagram_sender import DatagramSender
 from robot.station_client import StationClient
 from shared.datagrams import HEADER
 from shared.session import Event
-from station.robots import link as link_module
+from station.access import connecting
 from station.robots.datagrams import PictureDatagrams
 from station.robots.link import RobotLink
 from tests.support.link import Bench, Notes, linked, running_robot, until
@@ -24,7 +24,7 @@ from tests.support.link import Bench, Notes, linked, running_robot, until
 @asynccontextmanager
 async def thin_link(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[tuple[Bench, RobotLink, Notes, StationClient]]:
     """A link of this machine that is asked to be taken for a thin one of a network."""
-    monkeypatch.setattr(link_module, "is_loopback", lambda _: False)
+    monkeypatch.setattr(connecting, "is_loopback", lambda _: False)
     async with running_robot() as bench, linked(bench.port) as (link, notes):
         client = next(iter(bench.server._clients.values()))
         assert client.video is not None

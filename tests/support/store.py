@@ -15,12 +15,18 @@ from station.maps.record import content_hash as hash_of_record
 from station.maps.repair.purging import UNUSED_S
 from station.maps.store import MapStore
 from station.model.place_map import PlaceMap
+from station.places.rooms.edits import with_room_renamed
 
 
 def rename_place(store: MapStore, map_id: str, place_id: str, name: str) -> PlaceMap:
     """Give a place another name, and return the map."""
     why = f"{place_id} is now {name.strip()}"
     return store.edit(map_id, lambda place_map: with_place_renamed(place_map, place_id, name), why)
+
+
+def rename_room(store: MapStore, map_id: str, room_id: str, name: str) -> PlaceMap:
+    """Give a room a name, and return the map."""
+    return store.edit(map_id, lambda place_map: with_room_renamed(place_map, room_id, name), f"{room_id} is now {name}")
 
 
 def content_hash(store: MapStore, map_id: str) -> str:

@@ -143,6 +143,7 @@ class ImageEvidence:
             fails = self._failures(before, figures[0].features, T_nav_body @ aim.T_body_head)
         repeated = 1 - again + again * float(repeats.max(initial=0.0))
         lost = false * repeated
+        stays = float(share @ lost**novelty)  # of the lost weight, beside what goes to each candidate
         factors: list[float] = []
         corrects: list[Correction | None] = []
         for i in range(len(before.hypotheses)):
@@ -151,7 +152,7 @@ class ImageEvidence:
             fitting = twins.fitting[i]
             fresh = freshness if fitting is None else float(novelty[fitting])
             relative = twins.likelihood(i, float(likelihood), at, fails) / lost
-            factors.append(lost**freshness * relative**fresh)
+            factors.append(stays * relative**fresh)
             best = int(np.argmax(density[i]))
             is_right = float((1 - false) * density[i][best] / likelihood)
             corrects.append(Correction(best, fits[i][best], is_right) if fits[i][best].squared < SAME_POSE else None)
@@ -161,8 +162,8 @@ class ImageEvidence:
         strayed = self._rarer(figures[likeliest]) if expected_by[likeliest] is None else false
         return ImageLikelihood(
             at=twins.levelled(factors, alike),
-            lost=lost**freshness,
-            unmapped=(strayed * repeated) ** freshness,
+            lost=stays,
+            unmapped=stays * (strayed / false) ** freshness,
             candidates=candidates,
             found=share * (1 - false**novelty),
             corrects=corrects,

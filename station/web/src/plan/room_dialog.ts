@@ -31,6 +31,10 @@ export async function openRoom(room: PlanRoom, plan: FloorPlanModel): Promise<vo
     make("button", { type: "submit", class: "primary" }, "Save"),
   );
   const name = async (text: string) => {
+    if (!text && !room.named) {
+      dialog.close(); // it has no name, and shall have none
+      return;
+    }
     try {
       if (text !== room.name || !room.named) await call("PATCH", `/rooms/${room.id}`, { name: text || null });
     } catch (error) {

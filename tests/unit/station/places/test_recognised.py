@@ -226,6 +226,23 @@ def test_what_deceived_before_a_hijack_does_not_convince_after_it() -> None:
         assert robot.known is None and robot.estimator.place_probabilities().place[2] < 0.5
 
 
+def test_what_an_image_counts_for_a_look_alike_is_not_counted_for_its_right_pose() -> None:
+    """The first image shows more of the look-alike; from then on the right pose is seen better and better."""
+    robot = Robot(piece(34, 0.9))
+    robot.wait(1.0)
+    wall = np.random.default_rng(0).permutation(np.arange(3, 3 + SEEN))
+    candidates = []
+    for landmarks, T_map_body, extent in ((robot.things, THERE, 0.95), (wall[:14], HERE, 0.19)):
+        T = T_map_body @ pose(0.0, 0.0, robot.yaw)
+        z = seen(robot.t_s, T, inliers=len(landmarks), landmarks=tuple(int(k) for k in landmarks), extent=extent)
+        candidates.append(replace(z, sigma_position=0.03))
+    robot.estimator.on_candidates(candidates)
+    assert robot.elsewhere > 0.5 and robot.here < 0.3
+    for bit in np.split(wall[14:134], 2):
+        robot.shown(bit, HERE, 0.5)
+    assert robot.known == "map-0"
+
+
 def test_a_stray_pose_of_before_a_hijack_does_not_hide_where_the_robot_was_put_down() -> None:
     """It may lie near by chance."""
     beliefs = []
