@@ -16,7 +16,7 @@ from typing import Annotated, BinaryIO, Literal
 import msgspec
 
 from shared.bounded import MAX_SETTINGS_BYTES, read_file, shown
-from shared.disk import make_folder, replace_file, settle_folders
+from shared.disk import flush, make_folder, replace_file, settle_folders
 from shared.errors import DataError
 from shared.text import PRINTABLE
 from station.errors import Unknown
@@ -166,6 +166,7 @@ class NavigationLibrary:
         try:
             make_folder(self._root)
             folder.mkdir()  # of two stations one makes it, also where files cannot be locked
+            flush(self._root)
             file = (folder / HELD).open("wb")
         except FileExistsError:
             return False
