@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -121,6 +122,17 @@ async def test_how_it_ended_at_another_station_is_known(tmp_path: Path) -> None:
         assert await navigations.look_elsewhere() == []  # nobody left it
         assert navigations.ready(other.navigation_id).message == "7 landmarks"
         await navigations.rename(other.navigation_id, "Mine")
+        await navigations.close()
+
+
+async def test_a_navigation_that_is_gone_elsewhere_is_forgotten(tmp_path: Path) -> None:
+    with other_station(tmp_path) as other:
+        library = NavigationLibrary(tmp_path / FOLDER)
+        library.open()
+        navigations = Navigations(library, Events())
+        shutil.rmtree(library.folder(other.navigation_id))
+        assert await navigations.look_elsewhere() == []
+        assert library.list() == [] and not library.is_elsewhere(other.navigation_id)
         await navigations.close()
 
 
