@@ -30,7 +30,7 @@ from station.library.maps import Maps
 from station.library.navigation_records import NavigationLibrary, NavigationRecord
 from station.library.navigations import Navigations
 from station.library.place_changes import PlacesChange
-from station.library.recordings import recover_recordings, retain_recordings
+from station.library.recordings import follow_elsewhere, recover_recordings, retain_recordings
 from station.model.floor_plan import Room
 from station.model.map_store import MapSummary, StoreAddress
 from station.model.place_map import Place, PlaceGrain
@@ -50,7 +50,6 @@ from station.workers.worker import Worker, warm_up
 logger = logging.getLogger(__name__)
 STATES: tuple[EventKind, ...] = ("robot", "driver", "pose", "landmarks", "map", "place", "bin", "calibration")
 BIN_CHECK_S = 3600.0
-ELSEWHERE_CHECK_S = 5.0
 ESTIMATED: dict[GuidedKind, str] = {
     "camera": "camera",
     "camera-imu": "camera and IMU",
@@ -126,7 +125,7 @@ class Station:
                     tasks.create_task(self._keep_running(robot), name=f"robot {robot.name}")
                 tasks.create_task(self._every_hour(), name="bin")
                 tasks.create_task(self._tidy_up(interrupted), name="recordings")
-                tasks.create_task(self._look_elsewhere(), name="navigations of other stations")
+                tasks.create_task(follow_elsewhere(self.navigations, self.events), name="navigations of other stations")
                 tasks.create_task(self.access.door.watch(), name="door")
                 started()
         finally:
@@ -453,14 +452,6 @@ class Station:
         while True:
             await asyncio.sleep(BIN_CHECK_S)
             await self._tidy_bin()
-
-    async def _look_elsewhere(self) -> None:
-        while True:
-            await asyncio.sleep(ELSEWHERE_CHECK_S)
-            try:
-                await recover_recordings(self.navigations, await self.navigations.look_elsewhere(), self.events)
-            except (RobotSystemError, OSError) as exc:  # it must not end the robots
-                logger.warning("what other stations with this data folder recorded could not be read: %s", exc)
 
     async def _tidy_bin(self) -> None:
         """A disk or a database that is away, or takes no writes, must not end the robots nor keep the maps hidden."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -18,6 +19,9 @@ from station.library.navigation_records import NavigationLibrary, NavigationReco
 from station.library.navigations import Navigations
 from station.recordings.recovery import recover_recording
 
+logger = logging.getLogger(__name__)
+ELSEWHERE_CHECK_S = 5.0
+
 
 @dataclass(frozen=True, slots=True)
 class FinishedRecording:
@@ -27,6 +31,16 @@ class FinishedRecording:
     started_wall_s: float  # seconds since 1970
     bytes: int
     age_s: float = 0.0  # as the station counts: its clock on the wall may be set
+
+
+async def follow_elsewhere(navigations: Navigations, events: Notifier) -> None:
+    """Follow what other stations with this data folder have under way; recover what one left that has died."""
+    while True:
+        await asyncio.sleep(ELSEWHERE_CHECK_S)
+        try:
+            await recover_recordings(navigations, await navigations.look_elsewhere(), events)
+        except (RobotSystemError, OSError) as exc:  # it must not end the robots
+            logger.warning("what other stations with this data folder recorded could not be read: %s", exc)
 
 
 async def recover_recordings(
