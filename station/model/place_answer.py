@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -88,6 +88,25 @@ class PlaceAnswer:
     doorway: str | None = None  # id of the door that the robot is in
     forward_map: FloatArray | None = None  # (3,) unit vector, where the robot's front points; where there is a position
     sigma_position: float | None = None  # map units, 1 sigma per axis of the position
+
+    def withheld(self, why: str) -> PlaceAnswer:
+        """Without what it is sure of: the place and the room are but likely. As it is where it is sure of neither."""
+        if self.state != "known" and self.room is None and not self.one_of_two:
+            return self
+        place = () if self.place is None else (self.place,)
+        room = () if self.room is None else (self.room,)
+        return replace(
+            self,
+            state="unknown" if self.state == "known" else self.state,
+            place=None,
+            distance=None,
+            alternatives=(*place, *self.alternatives),
+            reason=why,
+            room=None,
+            room_alternatives=(*room, *self.room_alternatives),
+            one_of_two=(),
+            doorway=None,
+        )
 
 
 HijackCue = Literal["imu", "vision", "position"]

@@ -7,7 +7,6 @@ Main path of the live answer: `on_imu`, `on_drive` as they come, `on_frame` for 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from shared.calibration import Calibration
 from shared.geometry import FloatArray
@@ -104,17 +103,12 @@ class PlaceTracker:
         return attempt
 
     def answer(self, t_robot_ns: int) -> PlaceAnswer:
-        """The current place at this time (robot clock); with a calibration that nobody can correct it is not known."""
+        """The current place at this time (robot clock); with a calibration that nobody can correct nothing is sure."""
         answer = self.estimator.answer(t_robot_ns)
         why = why_unsure(self._fit)
         if not why and (of_map := self._unsure_map.get(answer.map_id or "")):
             why = f"of the navigation that the map was made from, {of_map}"
-        if answer.state != "known" or not why:
-            return answer
-        place = () if answer.place is None else (answer.place,)
-        return replace(
-            answer, state="unknown", place=None, distance=None, alternatives=(*place, *answer.alternatives), reason=why
-        )
+        return answer.withheld(why) if why else answer
 
     def on_calibration_fit(self, fit: CalibrationFit | None) -> None:
         """Whether the calibration explains what this robot measures, as far as its SLAM knows."""

@@ -8,6 +8,7 @@ import pytest
 
 from station.model.best_camera import misfit_of
 from station.model.calibration_fit import CalibrationFit
+from station.model.place_answer import RoomCandidate
 from station.model.place_map import PlaceMap
 from station.places.joining.merge import append_navigation
 from station.places.tracking.tracker import PlaceTracker
@@ -54,6 +55,26 @@ def test_a_robot_whose_calibration_nobody_can_correct_does_not_know_its_place(fi
     assert answer.alternatives[0].id == "map-1"  # where it would be
     assert answer.reason == fit.sentence
     assert answer.reason.startswith("the calibration does not fit")
+
+
+def test_neither_is_its_room_while_its_place_is_open() -> None:
+    """With 3 % of focal length 5.6 % of the rooms named in plain homes were wrong."""
+    bath, hall = RoomCandidate("room-1", "Bath", 0.9), RoomCandidate("room-2", "Hall", 0.2)
+    nowhere = recognised_in(make_map()).answer(SECOND)
+    lost = replace(nowhere, state="lost", place=None, distance=None, room=bath, room_alternatives=(hall,), doorway="d")
+    withheld = lost.withheld("why")
+    assert withheld.state == "lost" and withheld.reason == "why"
+    assert withheld.room is None and withheld.doorway is None
+    assert withheld.room_alternatives == (bath, hall)
+    two = replace(lost, room=None, room_alternatives=(bath, hall), one_of_two=(bath, hall), doorway=None)
+    assert two.withheld("why").one_of_two == () and two.withheld("why").room_alternatives == (bath, hall)
+
+
+def test_an_answer_that_is_sure_of_nothing_keeps_its_reason() -> None:
+    tracker = PlaceTracker([make_map()], make_map().navigation.calibration)
+    before = tracker.answer(SECOND)
+    tracker.on_calibration_fit(focal_fit(0.97))
+    assert tracker.answer(SECOND).reason == before.reason and before.state != "known"
 
 
 def test_the_place_is_known_again_once_the_calibration_fits() -> None:
