@@ -116,11 +116,11 @@ SUITE = (
     ),
     Benchmark(
         "current_place_3", CURRENT, "bench_current_place",
-        "--worlds home:600-604 plain:600-604 --wrong-focal 3", None,
+        "--worlds home:600-602 plain:600-602 --wrong-focal 3", None,
     ),
     Benchmark(
         "current_place_5", CURRENT, "bench_current_place",
-        "--worlds home:600-604 plain:600-604 --wrong-focal 5", None,
+        "--worlds home:600-602 plain:600-602 --wrong-focal 5", None,
     ),
     Benchmark(
         "current_place_real", CURRENT, "bench_current_place", "--worlds real", None, data=f"{DATA}/redkitchen"
