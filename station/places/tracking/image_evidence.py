@@ -23,6 +23,7 @@ from station.model.navigation import Landmarks
 from station.model.place_answer import Localization
 from station.motion.head import AHEAD, Aim
 from station.places.making.scale import USUAL_VIEWING_M
+from station.places.space.space import CELL_M
 from station.places.tracking.alike import Alike
 from station.places.tracking.belief import (
     FREEDOM,
@@ -264,7 +265,8 @@ class ImageEvidence:
         z = m.localization
         had = NOTHING if h is None else self._recognised_before((h,), m)
         together = had.and_then(z.landmarks, z.t_robot_ns)
-        extent_m = together.extent(self._maps[m.map_index].place_map.navigation.landmarks.p_world) / m.unit
+        p_map = self._maps[m.map_index].place_map.navigation.landmarks.p_world
+        extent_m = together.extent(p_map, CELL_M * m.unit) / m.unit
         return log_odds(self.config.fitted.right, replace(figures, extent_m=extent_m))
 
     def _recognised_before(self, hypotheses: Sequence[Hypothesis], m: PoseMeasurement) -> Recognised:

@@ -144,6 +144,27 @@ def test_what_is_larger_than_any_look_alike_has_no_budget() -> None:
     assert after_one_image(piece(600, half_m=0.5)).elsewhere < 0.9  # more than all of it at once
 
 
+def test_what_stands_beside_a_print_of_many_corners_counts_as_it_does_without() -> None:
+    """A window and a shelf two metres apart are no piece of furniture, whatever was seen between them."""
+    window, shelf = piece(14, half_m=0.3, seed=1) - [0.0, 1.2, 0.0], piece(20, half_m=0.3, seed=2) + [0.0, 1.2, 0.0]
+    robot = Robot(np.concatenate([window, shelf, piece(300, half_m=0.04)])).tracked()
+    of_window, of_shelf, of_print = np.split(robot.things, [14, 34])
+    robot.shown(of_window, THERE, 0.3)
+    robot.shown(of_print, THERE, 0.04)
+    before = robot.log_odds
+    robot.shown(of_shelf, THERE, 0.3)
+    assert robot.log_odds > before + 1.0
+
+
+@given(st.integers(0, 1000), st.integers(2, 5))
+def test_how_often_a_corner_was_mapped_does_not_change_how_large_things_are(seed: int, times: int) -> None:
+    rng = np.random.default_rng(seed)
+    p = rng.uniform(-1.0, 1.0, (30, 3))
+    again = np.concatenate([p, *([p[:10]] * times)])  # of ten corners there are several landmarks
+    once, often = (NOTHING.and_then(np.arange(len(q)), 1) for q in (p, again))
+    assert often.extent(again, cell=0.1) == once.extent(p, cell=0.1)
+
+
 @pytest.mark.parametrize("half_m", [0.15, 0.6])
 def test_the_same_landmarks_in_another_view_are_hardly_news(half_m: float) -> None:
     robot = Robot(piece(60, half_m)).tracked()
