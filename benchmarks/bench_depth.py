@@ -7,7 +7,8 @@ Each pass is mapped by images alone (`sfm`) and gets its metres from depth. True
 - scale of the path: the camera's positions against the true ones. Where a camera turns much and moves little, a map
   that takes turning for moving shows another scale here than in what was seen (docs/studies/depth.md).
 - walls: of the plan, in pieces of 10 cm, against the plan by depth alone from true poses; and the same of the map
-  without its depth scans.
+  without its depth scans. Where depth has no points on its own wall, as behind the camera, neither plan knows of a wall
+  and each ends where its view does: the pieces that have points are counted by themselves, too.
 """
 
 from __future__ import annotations
@@ -55,6 +56,8 @@ def wall_figures(name: str, walls: WallOffsets, *, asked: bool) -> list[Figure]:
         Figure(f"{name}: walls to depth's, median", found["median_m"], "m", at_most=0.05 if asked else None),
         Figure(f"{name}: walls to depth's, largest", found["greatest_m"], "m"),
         Figure(f"{name}: walls within 5 cm", found["within_5_cm"], at_least=1.0 if asked else None),
+        Figure(f"{name}: walls that depth has points on", found["measured_m"], "m"),
+        Figure(f"{name}: ... of them within 5 cm", found["measured_within_5_cm"]),
     ]
 
 

@@ -14,7 +14,9 @@ from station.model.floor_plan import FloorPlan
 from station.model.navigation import Keyframes, Landmarks, Navigation, Trajectory
 from station.motion.interpolation import scan_poses
 from station.places.rooms.plan import plan_along
+from station.places.rooms.surfaces import ON_M, Seen
 from station.places.rooms.wall_model import wall_model
+from station.places.space.space import Cells
 from station.slam.mapping.depth import measured_landmarks
 
 AGREE = 0.1  # log of measured depth by the map's: beyond, the landmark is not what was measured
@@ -28,11 +30,16 @@ class WallOffsets:
     """How far the pieces of a plan's walls are from the depth's own walls."""
 
     offset_m: FloatArray  # (n,) of the pieces that have one beside them
+    is_measured: Cells  # (n,) whether depth has points on that one, beside the piece; else no wall was in view there
     pieces: int  # all
 
     def results(self) -> dict[str, float | int | None]:
         size = np.abs(self.offset_m)
+        measured = size[self.is_measured]
         return {
+            "measured_m": len(measured) * PIECE_M,
+            "measured_within_5_cm": float((measured <= 0.05).mean()) if len(measured) else None,
+            "measured_greatest_m": float(measured.max()) if len(measured) else None,
             "length_m": self.pieces * PIECE_M,
             "found": len(size) / self.pieces if self.pieces else None,
             "median_m": float(np.median(size)) if len(size) else None,
@@ -67,18 +74,23 @@ def wall_offsets(navigation: Navigation, plan: FloorPlan, truth: Truth) -> WallO
 
     What depth measured is carried onto the map without scaling, so that an error of the map's scale shows.
     """
-    by_depth = plan_along(plan.R_ground_map, _depth_alone(navigation, truth), (), wall_model())
+    depth_alone = _depth_alone(navigation, truth)
+    by_depth = plan_along(plan.R_ground_map, depth_alone, (), wall_model())
+    p = Seen.of(depth_alone, plan.R_ground_map).p * by_depth.unit
     theirs = [_along_axis(wall) for wall in by_depth.walls]
     offsets: list[float] = []
+    measured: list[bool] = []
     pieces = 0
     for axis, at, low, high in map(_along_axis, plan.walls):
         for middle in np.arange(low + 0.5 * PIECE_M, high, PIECE_M):
             pieces += 1
-            beside = [p - at for a, p, b, e in theirs if a == axis and b - SLACK_M <= middle <= e + SLACK_M]
+            beside = [its - at for a, its, b, e in theirs if a == axis and b - SLACK_M <= middle <= e + SLACK_M]
             nearest = min(beside, key=abs, default=np.inf)
             if abs(nearest) <= SAME_WALL_M:
                 offsets.append(float(nearest))
-    return WallOffsets(np.array(offsets), pieces)
+                on = np.abs(p[:, axis] - at - nearest) < ON_M
+                measured.append(bool((on & (np.abs(p[:, 1 - axis] - middle) < PIECE_M)).any()))
+    return WallOffsets(np.array(offsets), np.array(measured, dtype=np.bool_), pieces)
 
 
 def _along_axis(wall: FloatArray) -> tuple[int, float, float, float]:

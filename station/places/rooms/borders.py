@@ -34,25 +34,10 @@ class Borders:
     passages: tuple[Passage, ...]
 
 
-def settled(rectangles: Sequence[Rectangle], surfaces: Surfaces) -> FloatArray:
-    """(n, 4) m, x0, x1, y0, y1: each side where the median of the landmarks on it lies, or else on its plane."""
-    seen = surfaces.seen
-    out = np.empty((len(rectangles), len(SIDES)))
-    for number, r in enumerate(rectangles):
-        for k, (axis, sign) in enumerate(SIDES):
-            at = surfaces.low[axis] + LINE_M * r.plane((axis, sign))
-            begin, end = (surfaces.low[1 - axis] + LINE_M * plane for plane in r.span(1 - axis))
-            across, along = seen.p[:, axis], seen.p[:, 1 - axis]
-            on = (sign * seen.towards[:, axis] > 0) & (np.abs(across - at) < 1.5 * LINE_M)
-            on &= (along > begin) & (along < end)
-            out[number, k] = np.median(across[on]) if on.any() else at
-    return out
-
-
 def find_borders(
     rectangles: Sequence[Rectangle], edges: FloatArray, surfaces: Surfaces, sides: Sides, model: WallModel
 ) -> Borders:
-    """How every two rectangles side by side belong together. `edges`: where they settled."""
+    """How every two rectangles side by side belong together. `edges`: where their sides stand."""
     joined, passages, lead = [], [], {}
     for (a, first), (b, second), axis in _neighbours(rectangles):
         low, high = _shorter(first, second, axis)
@@ -108,7 +93,7 @@ def walls_of(
     """(W, 2, 2) m, the parts of all sides that are wall, but for those between two that are one room.
 
     Args:
-        edges: where they settled.
+        edges: where their sides stand.
         joined: pairs of `Borders`.
     """
     is_wall = [[sides.is_wall[side][r.plane(side), r.pieces(side[0])].copy() for side in SIDES] for r in rectangles]

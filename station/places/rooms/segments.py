@@ -11,11 +11,12 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from shared.geometry import FloatArray
-from station.places.rooms.borders import Passage, find_borders, rectangles_at, settled, walls_of
+from station.places.rooms.borders import Passage, find_borders, rectangles_at, walls_of
 from station.places.rooms.evidence import Ground
 from station.places.rooms.lengths import DOOR_M
 from station.places.rooms.rectangles import Rectangle, find_rectangles
 from station.places.rooms.sides import Sides, weigh_sides
+from station.places.rooms.standing import standing_sides
 from station.places.rooms.surfaces import PIECE_M, SIDES, Surfaces
 from station.places.rooms.wall_model import WallModel
 from station.places.space.space import Cells
@@ -88,7 +89,7 @@ def _lay_out(surfaces: Surfaces | None, model: WallModel) -> _Layout:
         return _Layout(np.zeros((0, 4)), (), (), (), np.zeros((0, 2, 2)))
     sides = weigh_sides(surfaces, model)
     packed = find_rectangles(surfaces, sides, model)
-    edges = settled(packed.rectangles, surfaces)
+    edges = standing_sides(packed.rectangles, surfaces, sides, model)
     borders = find_borders(packed.rectangles, edges, surfaces, sides, model)
     unseen = _passed_unseen(surfaces, sides, packed.rectangles, edges, borders.passages)
     passages = (*borders.passages, *unseen)

@@ -28,6 +28,7 @@ Side = tuple[int, int]  # the axis that a plane stands across, and the direction
 SIDES: tuple[Side, ...] = ((0, 1), (0, -1), (1, 1), (1, -1))
 LINE_M = 0.5 * WALL_M  # between planes
 PIECE_M = WALL_M  # of a plane
+ON_M = 1.5 * LINE_M  # a landmark so near a plane is on it
 SHORT_OF = 0.97, 0.05  # a sight ends this share of its way, and so many metres, before its landmark: depths err
 BEFORE_M = (0.2, 0.3, 0.4)  # a plane: the sights that come so near look at it
 COUNTS = (0, 1, 2, 4)  # least of each class, of landmarks and of crossings; more do not say more
@@ -187,7 +188,7 @@ class _Grid:
         return None if np.prod(shape.astype(float)) > MAX_CELLS else cls(low, (int(shape[0]), int(shape[1])))
 
     def landmarks_on(self, p: FloatArray, axis: int) -> FloatArray:
-        """(planes, pieces) of points (n, 2), within one and a half LINE_M of a plane."""
+        """(planes, pieces) of points (n, 2), within ON_M of a plane."""
         plane = np.round((p[:, axis] - self.low[axis]) / LINE_M).astype(np.int64)
         piece = np.floor((p[:, 1 - axis] - self.low[1 - axis]) / PIECE_M).astype(np.int64)
         return np.asarray(3 * ndimage.uniform_filter1d(self._counted(axis, plane, piece), 3, axis=0, mode="constant"))

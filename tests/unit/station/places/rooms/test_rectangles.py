@@ -10,11 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from station.places.rooms.borders import find_borders, settled, wall_with_doors, walls_of
+from station.places.rooms.borders import find_borders, wall_with_doors, walls_of
 from station.places.rooms.plan import plan_along
 from station.places.rooms.rectangles import Packed, Rectangle, _Choices, _packed, find_rectangles
 from station.places.rooms.segments import _passed_unseen
 from station.places.rooms.sides import DOOR_PIECES, PASSAGE_PIECES, Sides, passage_costs, weigh_sides
+from station.places.rooms.standing import standing_sides
 from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Seen, Surfaces, find_surfaces
 from station.places.rooms.wall_model import wall_model
 from tests.support.flats import DOOR, ELL, TWO_ROOMS, WAY_OF_ELL, WAY_OF_TWO, Wall, navigate
@@ -31,8 +32,8 @@ def packed(walls: tuple[Wall, ...], way: tuple[tuple[float, float], ...]) -> tup
 
 
 def test_two_rooms_are_two_rectangles_on_their_walls() -> None:
-    surfaces, _, found = packed(TWO_ROOMS, WAY_OF_TWO)
-    edges = settled(found.rectangles, surfaces)
+    surfaces, sides, found = packed(TWO_ROOMS, WAY_OF_TWO)
+    edges = standing_sides(found.rectangles, surfaces, sides, wall_model())
     assert np.abs(edges - [[0.0, 4.0, 0.0, 4.0], [4.1, 8.1, 0.0, 4.0]]).max() < 0.03
 
 
@@ -77,18 +78,20 @@ def test_where_the_body_was_no_plane_is_a_wall() -> None:
 
 def test_a_wall_with_a_door_parts_two_rooms_and_an_open_side_does_not() -> None:
     surfaces, sides, found = packed(TWO_ROOMS, WAY_OF_TWO)
-    borders = find_borders(found.rectangles, settled(found.rectangles, surfaces), surfaces, sides, wall_model())
+    edges = standing_sides(found.rectangles, surfaces, sides, wall_model())
+    borders = find_borders(found.rectangles, edges, surfaces, sides, wall_model())
     assert not borders.joined
     (door,) = borders.passages
     assert np.abs(door.ends.mean(axis=0) - DOOR).max() < 0.1
     surfaces, sides, found = packed(ELL, WAY_OF_ELL)
-    borders = find_borders(found.rectangles, settled(found.rectangles, surfaces), surfaces, sides, wall_model())
+    edges = standing_sides(found.rectangles, surfaces, sides, wall_model())
+    borders = find_borders(found.rectangles, edges, surfaces, sides, wall_model())
     assert len(borders.joined) >= len(found.rectangles) - 1
 
 
 def test_no_wall_is_drawn_between_two_rectangles_that_are_one_room() -> None:
     surfaces, sides, found = packed(ELL, WAY_OF_ELL)
-    edges = settled(found.rectangles, surfaces)
+    edges = standing_sides(found.rectangles, surfaces, sides, wall_model())
     walls = walls_of(found.rectangles, edges, surfaces, sides, ((0, 1),))
     middles = walls.mean(axis=1)
     inside = (middles > 0.05).all(axis=1) & (middles < 2.45).any(axis=1) & (middles < 2.8).all(axis=1)
@@ -152,7 +155,8 @@ def test_a_path_whose_first_step_leads_into_another_room_has_a_door_there() -> N
     y = [round((y - surfaces.low[1]) / LINE_M) for y in (0.0, 4.0)]
     rectangles = (Rectangle(k[0], k[1], *y), Rectangle(k[2], k[3], *y))
     sides = weigh_sides(surfaces, wall_model())
-    (passage,) = _passed_unseen(surfaces, sides, rectangles, settled(rectangles, surfaces), ())
+    edges = standing_sides(rectangles, surfaces, sides, wall_model())
+    (passage,) = _passed_unseen(surfaces, sides, rectangles, edges, ())
     assert passage.ends.mean(axis=0) == pytest.approx(DOOR, abs=0.1)
 
 
