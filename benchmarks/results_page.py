@@ -54,8 +54,9 @@ def machines(results: dict[str, ResultFile]) -> list[str]:
 def table_rows(result: ResultFile) -> list[str]:
     """A row for each figure; those of one thing (`thing: what`) that are within their bounds share one.
 
-    So do those that are held against none, and at the end the figures of nothing else's kind that are held against
-    none; of two figures the one that is held against none stands with the other. What is not met stands alone.
+    So do those that are held against none, and at the end what is alone of its thing: all that is within its bounds,
+    and all that is held against none; of two figures the one that is held against none stands with the other. What is
+    not met stands alone.
     """
     before, after = result.load
     end = f"`{result.command}` | {result.commit} | {result.date} | {before:g}, {after:g} |"
@@ -65,15 +66,19 @@ def table_rows(result: ResultFile) -> list[str]:
         rows.setdefault((thing if colon else figure.what, ALL_MET if figure.is_met else bound(figure)), []).append(
             figure
         )
-    besides = [figures[0] for (_, held), figures in rows.items() if held == NO_BOUND and len(figures) == 1]
+    besides, kept = (
+        [figures[0] for (_, held), figures in rows.items() if held == of and len(figures) == 1]
+        for of in (NO_BOUND, ALL_MET)
+    )
     if len(besides) == 1 and len(result.figures) == 2:
         held = next(figure for figure in result.figures if figure is not besides[0])
         if held.is_met:
             beside = f"{besides[0].what} {value_with_unit(besides[0])}"
             return [f"| {held.what} | {value_with_unit(held)}; {beside} | {bound(held)} | {end}"]
-    if len(besides) > 1:
-        rows = {key: figures for key, figures in rows.items() if figures[0] not in besides}
-        rows[BESIDES, NO_BOUND] = besides
+    for alone, bounds in ((kept, ALL_MET), (besides, NO_BOUND)):
+        if len(alone) > 1:  # of several things one figure each: one row for all of them
+            rows = {key: figures for key, figures in rows.items() if figures[0] not in alone}
+            rows[BESIDES, bounds] = alone
     return [_row(thing, figures, end) for (thing, _), figures in rows.items()]
 
 
