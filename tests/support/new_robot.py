@@ -134,17 +134,33 @@ async def carry_about_until_all_is_recorded(
         await dialog.get_by_role("button", name="Begin").click()
         finish = dialog.get_by_role("button", name="Finish")
         await expect(finish).to_be_disabled(timeout=90_000)
-        while "finish" not in await dialog.locator(".instruction").inner_text():
+        instruction = dialog.locator(".instruction")
+        while "finish" not in await instruction.inner_text():
             await asyncio.to_thread(simulator.ask, cmd="wave", seconds=seconds, distance_m=CARRIED_BEFORE_M)
             await asyncio.to_thread(simulator.ask, cmd="board", gone=True)
-            await asyncio.sleep(seconds)
             while (await asyncio.to_thread(simulator.ask, cmd="truth"))["carried"]:
+                if "finish" in await instruction.inner_text():
+                    break
                 await asyncio.sleep(0.5)
         await finish.click()
         await expect(dialog.locator(".verdict")).to_be_visible(timeout=600_000)
         if "the IMU fell silent" not in await dialog.inner_text():
             return
         await dialog.get_by_role("button", name="Again").click()
+
+
+async def drive_until_all_goes_straight(dialog: Locator, http: httpx.AsyncClient, simulator: SimulatorLink) -> None:
+    """Begin, drive, finish; again where commands came late on a busy computer, as the page then asks, twice at most."""
+    for attempt in range(3):
+        if attempt:
+            await dialog.get_by_role("button", name="Again").click()
+        await dialog.get_by_role("button", name="Begin").click()
+        await stand_in_the_open(http, simulator, 1.0)
+        await drive_as_told(dialog)
+        await dialog.get_by_role("button", name="Finish").click()
+        await expect(dialog.locator(".verdict")).to_be_visible(timeout=600_000)
+        if "drives differ" not in await dialog.inner_text():
+            return
 
 
 async def drive_as_told(dialog: Locator) -> None:
