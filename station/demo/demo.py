@@ -196,7 +196,7 @@ def write_settings(folder: Path) -> Path:
 def record_mapping(demo: Demo, name: str) -> str:
     """Record one navigation while the scripted driver looks at all rooms; its id."""
     navigation: str = demo.station.call("POST", "/navigations", {"name": name})["id"]
-    demo.say(f"{name}: driving round every room, and turning once round in it (under two minutes)")
+    demo.say(f"{name}: driving round every room, and turning once round in it (a minute and a half)")
     start_driver(demo, "thorough", "brisk")
     demo.programs.wait("driver", DRIVE_TIMEOUT_S)
     demo.station.call("POST", f"/navigations/{navigation}/stop")
