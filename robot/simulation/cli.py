@@ -11,6 +11,7 @@ import typer
 from robot.simulation.calibration.kind import Kind
 from robot.simulation.config import SimulationConfig, load_config, without_imperfections
 from shared.command_line import run_program
+from shared.errors import ConfigError
 
 app = typer.Typer(name="robot-sim", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
 
@@ -143,11 +144,15 @@ def drive(
     seed: Annotated[int, typer.Option(min=0, help="another route of the same kind")] = 0,
     driver: Annotated[str, typer.Option(help="name under which to hold the driver lease")] = "scripted",
     max_duration: Annotated[float, typer.Option(help="give up after this many seconds")] = 600.0,
+    pace: Annotated[str, typer.Option(help="calm or brisk")] = "calm",
 ) -> None:
     """Drive a running simulated robot along a route through the station's drive commands."""
+    from robot.simulation.driver import PACES
     from robot.simulation.remote_driver import drive_route
 
-    report = drive_route(station, sim_port, route, seed, driver, max_duration)
+    if pace not in PACES:
+        raise ConfigError(f"pace {pace!r} is unknown; choose one of {', '.join(PACES)}")
+    report = drive_route(station, sim_port, route, seed, driver, max_duration, PACES[pace])
     print(f"{route}: {report.length_m:.1f} m in {report.duration_s:.1f} s, {report.refused} commands refused")
 
 

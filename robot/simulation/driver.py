@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,7 +13,6 @@ from robot.watchdog import STANDSTILL, Velocity
 from shared.geometry import FloatArray
 
 LOOKAHEAD_M = 0.28
-MAX_SPEED_M_S, MAX_YAW_RATE_RAD_S = 0.42, 0.5
 TURN_RAD_S = 1.5  # commanded while turning round; wheels slip to a third of it
 WINDOW_POINTS = 40  # the nearest point is sought this far ahead only, so that a crossing route stays in order
 GOAL_M = 0.12
@@ -20,6 +20,20 @@ MAX_COMMAND_RAD_S = 2.4  # robot-server refuses more than 2.5
 STUCK_M, STUCK_COMMANDS = 0.05, 18  # a bit more than a second without getting on
 BACKING_COMMANDS = 12
 PIVOT_RAD = 1.2  # turn in place first when the route points further aside than this
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How fast somebody drives."""
+
+    max_speed_m_s: float
+    max_yaw_rate_rad_s: float  # that is meant
+    turn_rad_s: float  # commanded while turning round
+
+
+CALM = Pace(0.42, 0.5, TURN_RAD_S)
+BRISK = Pace(0.5, 0.8, 2.4)  # as SLAM still follows (docs/studies/demo.md)
+PACES = {"calm": CALM, "brisk": BRISK}
 
 
 class LookAround:
@@ -45,8 +59,8 @@ class LookAround:
 class RouteDriver:
     """Gives a command for each true pose until the route ends."""
 
-    def __init__(self, route: Route, expected_yaw_efficiency: float = 0.33) -> None:
-        self._route = route
+    def __init__(self, route: Route, expected_yaw_efficiency: float = 0.33, pace: Pace = CALM) -> None:
+        self._route, self._pace = route, pace
         self._index = 0
         self._efficiency = expected_yaw_efficiency
         self._last_yaw_rate = self._last_linear = 0.0
@@ -79,7 +93,7 @@ class RouteDriver:
         distance = np.hypot(window[:, 0] - x_m, window[:, 1] - y_m)
         self._index += int(np.argmin(distance))
         if self._turns_round(yaw_rad):
-            return Velocity(0.0, TURN_RAD_S)
+            return Velocity(0.0, self._pace.turn_rad_s)
         points, is_last = self._points_ahead, not self._turns_left
         if is_last and self._index >= len(points) - 3 and math.hypot(*(points[-1] - (x_m, y_m))) < GOAL_M + 0.05:
             self.is_done = True
@@ -91,10 +105,10 @@ class RouteDriver:
         bearing = (bearing + math.pi) % (2 * math.pi) - math.pi
         reach = max(0.1, math.hypot(target[0] - x_m, target[1] - y_m))
         if abs(bearing) > PIVOT_RAD:
-            linear, yaw_rate = 0.05, math.copysign(MAX_YAW_RATE_RAD_S, bearing)
+            linear, yaw_rate = 0.05, math.copysign(self._pace.max_yaw_rate_rad_s, bearing)
         else:
             curvature = 2 * math.sin(bearing) / reach
-            linear = min(MAX_SPEED_M_S, MAX_YAW_RATE_RAD_S / max(abs(curvature), 1e-6))
+            linear = min(self._pace.max_speed_m_s, self._pace.max_yaw_rate_rad_s / max(abs(curvature), 1e-6))
             yaw_rate = linear * curvature
         if self._is_stuck(x_m, y_m):
             linear = -0.15

@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from robot.simulation.driver import RouteDriver
+from robot.simulation.driver import CALM, Pace, RouteDriver
 from robot.simulation.routes import Route
 from shared.errors import ConfigError, DeviceLost
 from shared.simulator_link import SimulatorLink
@@ -77,7 +77,13 @@ class DriveReport:
 
 
 def drive_route(
-    station: str, sim_port: int, kind: str, seed: int, driver_name: str = "scripted", max_duration_s: float = 600.0
+    station: str,
+    sim_port: int,
+    kind: str,
+    seed: int,
+    driver_name: str = "scripted",
+    max_duration_s: float = 600.0,
+    pace: Pace = CALM,
 ) -> DriveReport:
     """Drive a route from where the robot is, to its end.
 
@@ -91,14 +97,15 @@ def drive_route(
         plan = control.ask(cmd="route", kind=kind, seed=seed)
         turns = tuple(plan["turns_round_at"])
         route = Route(plan["kind"], np.array(plan["points"]), plan["start_yaw"], turns)
-        return _follow(control, http_link, route, max_duration_s)
+        return _follow(control, http_link, RouteDriver(route, pace=pace), route.length_m, max_duration_s)
     finally:
         http_link.close()
         control.close()
 
 
-def _follow(control: SimulatorLink, station: StationHttp, route: Route, max_duration_s: float) -> DriveReport:
-    driver = RouteDriver(route)
+def _follow(
+    control: SimulatorLink, station: StationHttp, driver: RouteDriver, length_m: float, max_duration_s: float
+) -> DriveReport:
     began = next_s = time.monotonic()
     refused = in_a_row = shown = 0
     while not driver.is_done:
@@ -121,4 +128,4 @@ def _follow(control: SimulatorLink, station: StationHttp, route: Route, max_dura
         next_s = max(next_s + COMMAND_PERIOD_S, time.monotonic())
         time.sleep(max(0.0, next_s - time.monotonic()))
     station.stop()
-    return DriveReport(time.monotonic() - began, route.length_m, refused)
+    return DriveReport(time.monotonic() - began, length_m, refused)

@@ -196,21 +196,21 @@ def write_settings(folder: Path) -> Path:
 def record_mapping(demo: Demo, name: str) -> str:
     """Record one navigation while the scripted driver looks at all rooms; its id."""
     navigation: str = demo.station.call("POST", "/navigations", {"name": name})["id"]
-    demo.say(f"{name}: driving round every room, and turning once round in it (under two minutes)")
-    start_driver(demo, "thorough")
+    demo.say(f"{name}: driving round every room, and turning once round in it (a minute and a half)")
+    start_driver(demo, "thorough", "brisk")
     demo.programs.wait("driver", DRIVE_TIMEOUT_S)
     demo.station.call("POST", f"/navigations/{navigation}/stop")
     demo.say(f"{name}: driven; SLAM finds trajectory and landmarks (half a minute, more on a busy machine)")
     return navigation
 
 
-def start_driver(demo: Demo, route: str) -> None:
+def start_driver(demo: Demo, route: str, pace: str = "calm") -> None:
     """The scripted driver: real drive commands through the station, as a person with a joystick gives them."""
     demo.programs.start(
         "driver",
         "robot.simulation.cli",
         *("drive", "--station", demo.station.address, "--sim-port", str(demo.sim_port)),
-        *("--route", route, "--seed", str(demo.options.seed)),
+        *("--route", route, "--seed", str(demo.options.seed), "--pace", pace),
     )
 
 

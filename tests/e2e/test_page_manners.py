@@ -32,6 +32,27 @@ async def keep(room: Room, name: str) -> None:
     room.desk.station.navigations.library.open()
 
 
+COUNT_FRAMES = """() => {
+    const ask = window.requestAnimationFrame;
+    window.framesAsked = 0;
+    window.requestAnimationFrame = (draw) => { window.framesAsked += 1; return ask.call(window, draw); };
+}"""
+IS_OLDER_THAN_S = """seconds =>
+    Number(/^([0-9.]+) s old$/.exec(document.getElementById("age").textContent)?.[1]) > seconds"""
+
+
+async def test_nothing_is_drawn_while_nothing_changes(room: Room) -> None:
+    """Also with the calibration's dialog open, which shows each picture once."""
+    page = await room.open()
+    await page.locator("#calibrate").click()
+    await expect(page.locator("#calibrate-dialog")).to_be_visible()
+    room.film.pause()
+    await page.wait_for_function(IS_OLDER_THAN_S, arg=1, polling=100)
+    await page.evaluate(COUNT_FRAMES)
+    await page.wait_for_function(IS_OLDER_THAN_S, arg=3, polling=100)
+    assert await page.evaluate("window.framesAsked") < 20  # of some 120 that a screen shows
+
+
 async def test_rows_stay_the_same_buttons_while_what_they_tell_of_changes(room: Room) -> None:
     await keep(room, "nav-before")
     page = await room.open()

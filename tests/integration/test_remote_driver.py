@@ -12,10 +12,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import robot.simulation.remote_driver as robot_remote_driver
 from robot.devices.simulated import SimulatedRobot
 from robot.devices.simulated.control import ControlServer
+from robot.simulation.cli import app
 from robot.simulation.config import SimulationConfig
 from robot.simulation.remote_driver import drive_route
 from shared.errors import ConfigError, DeviceLost
@@ -100,3 +102,9 @@ def test_missing_programs_are_named(running: tuple[SimulatedRobot, ControlServer
         drive_route(station.address, control.port, "local", 0)
     with pytest.raises(ConfigError, match="spiral"):
         drive_route(station.address, control.port, "spiral", 0)
+
+
+def test_an_unknown_pace_is_named() -> None:
+    words = ["drive", "--station", "http://127.0.0.1:1", "--sim-port", "1", "--pace", "hurried"]
+    result = CliRunner().invoke(app, words)
+    assert isinstance(result.exception, ConfigError) and "choose one of calm, brisk" in str(result.exception)

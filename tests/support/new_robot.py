@@ -38,10 +38,11 @@ HELD: list[dict[str, float]] = [
 WAYS_OFF_M = [place["distance_m"] for place in HELD]
 
 
-def write_settings(folder: Path, build: dict[str, float]) -> Path:
+def write_settings(folder: Path, build: dict[str, float], camera_rate_hz: float = 20.0) -> Path:
     """The settings of a robot that is built so (robot/simulation/config.py, BuildErrors) and keeps its calibration."""
     settings, config = folder / "simulation.toml", folder / "robot.toml"
-    settings.write_text("[build]\n" + "".join(f"{name} = {value}\n" for name, value in build.items()))
+    building = "".join(f"{name} = {value}\n" for name, value in build.items())
+    settings.write_text(f"camera_rate_hz = {camera_rate_hz}\n[build]\n{building}")
     config.write_text(
         f'[simulated]\nworld = "small"\nsettings = "{settings}"\n[calibration]\nfolder = "{folder / "own"}"\n'
     )
@@ -49,10 +50,13 @@ def write_settings(folder: Path, build: dict[str, float]) -> Path:
 
 
 @asynccontextmanager
-async def new_robot(folder: Path, build: dict[str, float]) -> AsyncIterator[tuple[int, SimulatorLink]]:
+async def new_robot(
+    folder: Path, build: dict[str, float], camera_rate_hz: float = 20.0
+) -> AsyncIterator[tuple[int, SimulatorLink]]:
     """The port of a simulated robot that is built otherwise than it tells, and the hands of its simulator."""
     sim_port = free_port()
-    words = ("--devices", "simulated", "--config", str(write_settings(folder, build)), "--port", "0")
+    settings = write_settings(folder, build, camera_rate_hz)
+    words = ("--devices", "simulated", "--config", str(settings), "--port", "0")
     async with program("robot.main", *words, "--sim-port", str(sim_port)) as robot:
         port = int((await said(robot, r"on 127\.0\.0\.1:(\d+)")).group(1))
         simulator = await asyncio.to_thread(SimulatorLink, sim_port)
@@ -130,17 +134,33 @@ async def carry_about_until_all_is_recorded(
         await dialog.get_by_role("button", name="Begin").click()
         finish = dialog.get_by_role("button", name="Finish")
         await expect(finish).to_be_disabled(timeout=90_000)
-        while "finish" not in await dialog.locator(".instruction").inner_text():
+        instruction = dialog.locator(".instruction")
+        while "finish" not in await instruction.inner_text():
             await asyncio.to_thread(simulator.ask, cmd="wave", seconds=seconds, distance_m=CARRIED_BEFORE_M)
             await asyncio.to_thread(simulator.ask, cmd="board", gone=True)
-            await asyncio.sleep(seconds)
             while (await asyncio.to_thread(simulator.ask, cmd="truth"))["carried"]:
+                if "finish" in await instruction.inner_text():
+                    break
                 await asyncio.sleep(0.5)
         await finish.click()
         await expect(dialog.locator(".verdict")).to_be_visible(timeout=600_000)
         if "the IMU fell silent" not in await dialog.inner_text():
             return
         await dialog.get_by_role("button", name="Again").click()
+
+
+async def drive_until_all_goes_straight(dialog: Locator, http: httpx.AsyncClient, simulator: SimulatorLink) -> None:
+    """Begin, drive, finish; again where commands came late on a busy computer, as the page then asks, twice at most."""
+    for attempt in range(3):
+        if attempt:
+            await dialog.get_by_role("button", name="Again").click()
+        await dialog.get_by_role("button", name="Begin").click()
+        await stand_in_the_open(http, simulator, 1.0)
+        await drive_as_told(dialog)
+        await dialog.get_by_role("button", name="Finish").click()
+        await expect(dialog.locator(".verdict")).to_be_visible(timeout=600_000)
+        if "drives differ" not in await dialog.inner_text():
+            return
 
 
 async def drive_as_told(dialog: Locator) -> None:

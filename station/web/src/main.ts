@@ -29,6 +29,7 @@ const health = new HealthView(library);
 const log = new EventLog();
 const places = new PlaceView();
 const calibrate = new CalibrateDialog(video.canvas, drive.pad, (say) => drive.emergencyStop("STOP", say));
+video.onPicture = () => calibrate.showPicture();
 const plan = new PlanView((place) => places.open(place));
 const map = makeMap();
 

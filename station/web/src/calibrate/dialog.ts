@@ -34,11 +34,6 @@ export class CalibrateDialog {
     private readonly stop: (say: (text: string) => void) => void,
   ) {
     by("calibrate").addEventListener("click", () => attempt(() => this.open()));
-    const followPicture = () => {
-      if (this.dialog.open) this.drawPicture();
-      requestAnimationFrame(followPicture);
-    };
-    requestAnimationFrame(followPicture);
   }
 
   async open(): Promise<void> {
@@ -100,6 +95,7 @@ export class CalibrateDialog {
       this.dialog.replaceChildren(make("h2", {}, title), ...content, footer);
     }
     if (this.session?.state === "looking") this.drawProgress(this.session);
+    this.showPicture();
   }
 
   private content(): (Node | string)[] {
@@ -133,6 +129,7 @@ export class CalibrateDialog {
       const printing = make("li", {}, "Print the board at 100 %, and measure the ruler on it. ", board.print);
       show(board.node, guided.looks);
       show(sharp, asked() === "camera");
+      this.showPicture();
       steps.replaceChildren(...present(guided.looks && printing, ...guided.steps.map((step) => make("li", {}, step))));
     };
     what.select.addEventListener("change", refresh);
@@ -182,9 +179,10 @@ export class CalibrateDialog {
     setText(finish, finishText(session));
   }
 
-  private drawPicture(): void {
-    const canvas = this.dialog.querySelector("canvas.board");
-    if (canvas instanceof HTMLCanvasElement) {
+  /** The live picture is a new one, or what was seen on it. */
+  showPicture(): void {
+    const canvas = this.dialog.open ? this.dialog.querySelector("canvas.board") : null;
+    if (canvas instanceof HTMLCanvasElement && !canvas.hidden) {
       const seen = this.session?.state === "looking" ? this.session.seen : null;
       drawLooking(context2d(canvas, { alpha: false }), this.video, seen);
     }

@@ -10,6 +10,7 @@ export class VideoView {
   private readonly socket: LastingSocket;
   private ageAtArrivalMs = 0;
   private arrivedMs = -Infinity;
+  onPicture: () => void = () => undefined; // one was drawn
 
   constructor() {
     this.socket = new LastingSocket("/ws/camera", { onMessage: (data) => void this.take(data as ArrayBuffer) });
@@ -30,6 +31,7 @@ export class VideoView {
       this.ageAtArrivalMs = Number.isFinite(picture.seconds) ? picture.seconds * 1000 : 0;
       this.arrivedMs = arrivedMs;
       this.canvas.dataset.seq = String(picture.seq);
+      this.onPicture();
     } catch {
       // One picture that cannot be decoded must not end the video.
     } finally {

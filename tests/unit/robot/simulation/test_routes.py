@@ -5,7 +5,7 @@ import pytest
 
 from robot.simulation.body import TICK_S, Body, CollisionBoxes
 from robot.simulation.config import BodyParameters
-from robot.simulation.driver import RouteDriver
+from robot.simulation.driver import BRISK, CALM, Pace, RouteDriver
 from robot.simulation.routes import FreeSpace, Route, plan_route
 from robot.simulation.world import World
 from robot.simulation.worlds import make_world
@@ -68,12 +68,15 @@ def test_the_thorough_way_turns_round_once_in_every_room() -> None:
     assert sorted(world.room_at(*p) for p in turns) == sorted(room.name for room in world.rooms)
 
 
-@pytest.mark.parametrize(("kind", "seed"), [("small", 3), ("small", 30), ("home", 31), ("home", 34), ("plain", 30)])
-def test_the_driver_turns_round_in_every_room(kind: str, seed: int) -> None:
+@pytest.mark.parametrize(
+    ("kind", "seed", "pace"),
+    [("small", 3, CALM), ("small", 30, BRISK), ("home", 31, CALM), ("home", 34, BRISK), ("plain", 30, BRISK)],
+)
+def test_the_driver_turns_round_in_every_room(kind: str, seed: int, pace: Pace) -> None:
     """Also where the way back leads beside the way there."""
     world = make_world(kind, seed)
     route = plan_route(world, "thorough")
-    path = driven(world, route, seed)
+    path = driven(world, route, seed, pace)
     turned = np.abs(np.diff(np.unwrap(path[:, 2])))
     for spot in route.points[list(route.turns_round_at)]:
         is_there = np.hypot(*(path[1:, :2] - spot).T) < 0.25
@@ -81,10 +84,17 @@ def test_the_driver_turns_round_in_every_room(kind: str, seed: int) -> None:
     assert np.hypot(*(route.points[-1] - path[-1, :2])) < 0.3
 
 
-def driven(world: World, route: Route, seed: int) -> FloatArray:
+def test_a_brisk_driver_comes_to_the_end_sooner() -> None:
+    world = make_world("small", 3)
+    route = plan_route(world, "thorough")
+    calm, brisk = (driven(world, route, 3, pace) for pace in (CALM, BRISK))
+    assert len(brisk) < 0.8 * len(calm)
+
+
+def driven(world: World, route: Route, seed: int, pace: Pace) -> FloatArray:
     """Poses (N, 3) x m, y m, yaw rad of a robot on slipping wheels."""
     body = Body(world, BodyParameters(), (*route.points[0], route.start_yaw_rad), seed)
-    driver, state, poses = RouteDriver(route), body.state(), [body.pose]
+    driver, state, poses = RouteDriver(route, pace=pace), body.state(), [body.pose]
     while not driver.is_done and len(poses) * TICK_S < 400:
         if len(poses) % 15 == 0:
             command = driver.command(*body.pose, float(state.omega_body[2]))
@@ -95,13 +105,13 @@ def driven(world: World, route: Route, seed: int) -> FloatArray:
     return np.array(poses)
 
 
-@pytest.mark.parametrize("kind", ["mapping", "thorough"])
+@pytest.mark.parametrize(("kind", "pace"), [("mapping", CALM), ("thorough", BRISK)])
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_the_driver_reaches_the_end_of_the_route_on_slipping_wheels(seed: int, kind: str) -> None:
+def test_the_driver_reaches_the_end_of_the_route_on_slipping_wheels(seed: int, kind: str, pace: Pace) -> None:
     world = make_world("small", seed)
     route = plan_route(world, kind)
     body = Body(world, BodyParameters(), (*route.points[0], route.start_yaw_rad), seed)
-    driver, state, ticks, blocked = RouteDriver(route), body.state(), 0, 0
+    driver, state, ticks, blocked = RouteDriver(route, pace=pace), body.state(), 0, 0
     while not driver.is_done and ticks * TICK_S < 200:
         if ticks % 15 == 0:
             command = driver.command(*body.pose, float(state.omega_body[2]))
