@@ -77,17 +77,24 @@ class JudgedWorld:
     has_identical_twins: bool = False
     twins: tuple[TwinDrive, ...] = ()
     is_said_to_misfit: bool = False
+    by_other_kinds: bool = False  # the evidence was fitted to the other kinds of worlds only
+
+    @property
+    def is_elsewhere(self) -> bool:
+        """In a building that the map knows nothing of."""
+        return self.kind == real.KIND and self.name.startswith("elsewhere")
 
     @property
     def group(self) -> str:
         """What is counted together."""
+        by = ", evidence of other kinds" if self.by_other_kinds else ""
         if self.kind == real.KIND:
-            return ELSEWHERE if self.name.startswith("elsewhere") else self.name
+            return (ELSEWHERE if self.is_elsewhere else self.name) + by
         wrong = f", calibration {self.wrong_percent:g} % wrong" if self.wrong_percent else ""
         how = "" if self.is_looked_around else ", mapped without looking around"
         if self.maps_all:
             how += ", identical twins both mapped" if self.has_identical_twins else ", twins both mapped"
-        return self.kind + wrong + how
+        return self.kind + wrong + how + by
 
 
 def judge_world(path: Path, leave_kind_out: bool = False) -> JudgedWorld:
@@ -124,6 +131,7 @@ def judge_world(path: Path, leave_kind_out: bool = False) -> JudgedWorld:
         has_identical_twins=world.has_identical_twins,
         twins=tuple(twin for twin in twins if twin.answers),
         is_said_to_misfit=bool(misfit),
+        by_other_kinds=leave_kind_out,
     )
 
 
@@ -173,7 +181,7 @@ def figures_of(group: str, worlds: Sequence[JudgedWorld]) -> list[Figure]:
     is_asked = worlds[0].kind != real.KIND or kind in RECALL
     known = part("right of all that is known", summary.precision, PRECISION if is_asked else None)
     silent = part("not known where the map has nothing", summary.silent, SILENT)
-    if group == ELSEWHERE:
+    if worlds[0].is_elsewhere:
         return [part("not known", summary.silent, 100.0)]
     right = part("known and right in mapped rooms", summary.recall, RECALL.get(kind))
     if worlds[0].maps_all:

@@ -111,6 +111,10 @@ SUITE = (
         "--worlds home:600-624 plain:600-624 lookalike:600-604 --wrong-focal 2", "--worlds small:0",
     ),
     Benchmark(
+        "current_place_left_out", CURRENT, "bench_current_place",
+        "--worlds home:600-602 plain:600-602 real --wrong-focal 2 --leave-kind-out", None, data=f"{DATA}/redkitchen",
+    ),
+    Benchmark(
         "current_place_passing", CURRENT, "bench_current_place",
         "--worlds plain:600-624 --wrong-focal 2 --without-turns", None,
     ),
