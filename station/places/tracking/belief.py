@@ -49,8 +49,8 @@ class Recognised:
     def extent(self, p_map: FloatArray, cell: float) -> float:
         """Median distance from their middle of one landmark per cell, in the units of their positions `p_map` (L, 3).
 
-        Of all of them it would be the size of what has most corners: after a chest of drawers, whatever stands beside it
-        would count for nothing.
+        Of all of them it would be the size of what has most corners: after a chest of drawers, whatever stands beside
+        it would count for nothing.
         """
         if not self.seen:
             return 0.0

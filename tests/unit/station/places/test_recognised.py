@@ -146,7 +146,8 @@ def test_what_is_larger_than_any_look_alike_has_no_budget() -> None:
 
 def test_what_stands_beside_a_print_of_many_corners_counts_as_it_does_without() -> None:
     """A window and a shelf two metres apart are no piece of furniture, whatever was seen between them."""
-    window, shelf = piece(14, half_m=0.3, seed=1) - [0.0, 1.2, 0.0], piece(20, half_m=0.3, seed=2) + [0.0, 1.2, 0.0]
+    aside = np.array([0.0, 1.2, 0.0])
+    window, shelf = piece(14, half_m=0.3, seed=1) - aside, piece(20, half_m=0.3, seed=2) + aside
     robot = Robot(np.concatenate([window, shelf, piece(300, half_m=0.04)])).tracked()
     of_window, of_shelf, of_print = np.split(robot.things, [14, 34])
     robot.shown(of_window, THERE, 0.3)
