@@ -39,7 +39,6 @@ class WallOffsets:
         return {
             "measured_m": len(measured) * PIECE_M,
             "measured_within_5_cm": float((measured <= 0.05).mean()) if len(measured) else None,
-            "measured_greatest_m": float(measured.max()) if len(measured) else None,
             "length_m": self.pieces * PIECE_M,
             "found": len(size) / self.pieces if self.pieces else None,
             "median_m": float(np.median(size)) if len(size) else None,

@@ -90,7 +90,7 @@ class PlaceAnswer:
     sigma_position: float | None = None  # map units, 1 sigma per axis of the position
 
     def withheld(self, why: str) -> PlaceAnswer:
-        """Without what it is sure of: the place and the room are but likely. As it is where it is sure of neither."""
+        """Place and room are but likely, the position stays. As it is where it is sure of neither."""
         if self.state != "known" and self.room is None and not self.one_of_two:
             return self
         place = () if self.place is None else (self.place,)

@@ -103,7 +103,7 @@ class PlaceTracker:
         return attempt
 
     def answer(self, t_robot_ns: int) -> PlaceAnswer:
-        """The current place at this time (robot clock); with a calibration that nobody can correct nothing is sure."""
+        """The current place at this time (robot clock); no place or room with a calibration that nobody corrects."""
         answer = self.estimator.answer(t_robot_ns)
         why = why_unsure(self._fit)
         if not why and (of_map := self._unsure_map.get(answer.map_id or "")):

@@ -14,7 +14,6 @@ def test_walls_that_depth_has_no_points_on_are_in_the_share_of_all_alone() -> No
     assert results["within_5_cm"] == pytest.approx(2 / 5)
     assert results["measured_m"] == pytest.approx(0.3)
     assert results["measured_within_5_cm"] == pytest.approx(2 / 3)
-    assert results["measured_greatest_m"] == pytest.approx(0.2)
 
 
 def test_without_a_wall_there_is_no_share() -> None:
