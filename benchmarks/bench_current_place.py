@@ -177,9 +177,7 @@ def figures_of(group: str, worlds: Sequence[JudgedWorld]) -> list[Figure]:
     def part(what: str, of: Share, at_least: float | None) -> Figure:
         return share(f"{group}: {what}", of.count, of.of, at_least=at_least)
 
-    # Recordings of which no recall is asked are judged together (`figures_of_all_real`).
-    is_asked = worlds[0].kind != real.KIND or kind in RECALL
-    known = part("right of all that is known", summary.precision, PRECISION if is_asked else None)
+    known = part("right of all that is known", summary.precision, PRECISION)
     silent = part("not known where the map has nothing", summary.silent, SILENT)
     if worlds[0].is_elsewhere:
         return [part("not known", summary.silent, 100.0)]
@@ -224,13 +222,16 @@ def figures_of(group: str, worlds: Sequence[JudgedWorld]) -> list[Figure]:
 
 def misfit_figures(group: str, worlds: Sequence[JudgedWorld]) -> list[Figure]:
     """With a calibration so wrong an answer may be silent: what is known or named all the same has to be right."""
-    known = summarise([drive for world in worlds for drive in world.drives]).precision
+    summary = summarise([drive for world in worlds for drive in world.drives])
+    known = summary.precision
     named = summarise_rooms([drive for world in worlds for drive in world.rooms]).precision
-    answers = sum(len(drive.answers) for world in worlds for drive in world.drives)
+    answers = [answer for world in worlds for drive in world.drives for answer in drive.answers]
+    rooms = [answer for world in worlds for drive in world.rooms for answer in drive.rooms]
     figures = [
         share(f"{group}: said not to fit", sum(world.is_said_to_misfit for world in worlds), len(worlds), at_least=100),
-        share(f"{group}: place known", known.of, answers),
-        share(f"{group}: room named", named.of, answers),
+        share(f"{group}: hijack noticed within 2 s", summary.noticed.count, summary.noticed.of, at_least=NOTICED),
+        share(f"{group}: place known", sum(answer.is_known for answer in answers), len(answers)),
+        share(f"{group}: room named, but in doorways", sum(answer.is_known for answer in rooms), len(rooms)),
     ]
     told = (("right of all that is known", known), ("room right of all that is named", named))
     return figures + [

@@ -32,7 +32,7 @@ class Pace:
 
 
 CALM = Pace(0.42, 0.5, TURN_RAD_S)
-BRISK = Pace(0.5, 0.8, 2.4)  # as SLAM still follows (docs/studies/demo.md)
+BRISK = Pace(0.5, 0.8, MAX_COMMAND_RAD_S)  # as SLAM still follows (docs/studies/demo.md)
 PACES = {"calm": CALM, "brisk": BRISK}
 
 

@@ -134,7 +134,7 @@ def test_a_published_result_says_where_it_comes_from(repository: MadeUpRepositor
         ["shortest rest", "1 s", "≥ 2: **not met**"],
         ["weight", "1234 kg", "–"],
         ["nothing to measure it on", "–", "≤ 1: **not met**"],
-        ["besides", "longest error 3.25 ms (n = 40) [≤ 5]; right answers 99.9 % (3999 of 4000) [≥ 99]", "all met"],
+        ["bench_clock", "longest error 3.25 ms (n = 40) [≤ 5]; right answers 99.9 % (3999 of 4000) [≥ 99]", "all met"],
     ]
     assert all(commit in row for row in rows)
     assert "Not measured yet at a commit of this history: `link`" in repository.read("docs/results.md")

@@ -31,12 +31,12 @@ export class VideoView {
       this.ageAtArrivalMs = Number.isFinite(picture.seconds) ? picture.seconds * 1000 : 0;
       this.arrivedMs = arrivedMs;
       this.canvas.dataset.seq = String(picture.seq);
-      this.onPicture();
     } catch {
-      // One picture that cannot be decoded must not end the video.
+      return; // one picture that cannot be decoded must not end the video
     } finally {
       this.socket.send("next");
     }
+    this.onPicture();
   }
 
   private refresh(): void {
