@@ -47,16 +47,17 @@ class Recognised:
         return sum(k not in self.seen for k in landmarks.tolist()) / len(landmarks) if len(landmarks) else 1.0
 
     def extent(self, p_map: FloatArray, cell: float) -> float:
-        """Median distance from their middle of one landmark per cell, in the units of their positions `p_map` (L, 3).
+        """Median distance of the landmarks from their middle, or of one per cell, in the units of `p_map` (L, 3).
 
-        Of all of them it would be the size of what has most corners: after a chest of drawers, whatever stands beside
-        it would count for nothing.
+        The larger one. Of all of them it is the size of what has most corners: after a chest of drawers, whatever
+        stands beside it would count for nothing. Of one per cell it is that of what takes most room: so would what
+        stands between two prints.
         """
         if not self.seen:
             return 0.0
         p = p_map[np.fromiter(self.seen, np.int64, len(self.seen))]
         _, first_of_each = np.unique(np.floor(p / cell), axis=0, return_index=True)
-        return median_radius(p[first_of_each])
+        return max(median_radius(p), median_radius(p[first_of_each]))
 
 
 NOTHING = Recognised({})
