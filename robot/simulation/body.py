@@ -65,6 +65,7 @@ class Body:
         self._boxes = CollisionBoxes(world)
         self._plane = _Plane(*start)
         self._ticks = 0
+        self._jolt = 0.0  # m/s², forward, of what was run into in this tick, as the accelerometer feels it
         self._command = (0.0, 0.0)
         self._yaw_efficiency = 1.0
         if parameters.slip:
@@ -125,6 +126,7 @@ class Body:
     def step(self) -> MotionState:
         """Advance by TICK_S and return the motion at the new instant."""
         self._ticks += 1
+        self._jolt = 0.0
         if self._wave is not None:
             return self._step_waved(*self._wave)
         if self._carry is not None:
@@ -160,7 +162,7 @@ class Body:
         c, s = math.cos(p.yaw), math.sin(p.yaw)
         icr = self._parameters.icr_offset_m if self._parameters.slip else 0.0
         lateral, lateral_rate = icr * p.w, icr * p.b  # the IMU in front of the turning centre swings sideways
-        ax, ay = p.a - p.w * lateral, lateral_rate + p.w * p.v
+        ax, ay = p.a + self._jolt - p.w * lateral, lateral_rate + p.w * p.v
         speed, speed_rate = _rolling_speed(p)
         z, roll, pitch = self._bumps.at(p.s, speed, speed_rate)
         R = _rotation(p.yaw, pitch[0], roll[0])
@@ -225,8 +227,8 @@ class Body:
         into = p.v * (c * nx + s * ny)  # speed along the outward normal; negative runs into the wall
         if into < 0:
             p.v -= into * (c * nx + s * ny)
-            p.a = (p.v - before[0]) / TICK_S  # the jolt, as the accelerometer feels it
-            p.a = float(np.clip(p.a, -60.0, 60.0))
+            p.a = 0.0  # motors that are stopped build up their speed anew
+            self._jolt = float(np.clip((p.v - before[0]) / TICK_S, -60.0, 60.0))
 
     def _step_carried(self, carry: _Carry) -> MotionState:
         state = carry.state(self._ticks * TICK_S)

@@ -6,6 +6,7 @@ const SHORTEST_PX = 12;
 
 export class DoorPen {
   private from: Point | null = null;
+  private hasDrawn = false; // since the pointer went down: what it lies on is not pressed
   private readonly line = draw("line", { class: "plan-pen" });
 
   /** `onDrawn` gets the ends on the plan. */
@@ -18,6 +19,7 @@ export class DoorPen {
     svg.addEventListener("pointermove", (event) => this.draw(event));
     svg.addEventListener("pointerup", (event) => this.end(event));
     svg.addEventListener("pointercancel", () => this.drop());
+    svg.addEventListener("click", (event) => this.press(event), { capture: true });
   }
 
   get isOut(): boolean {
@@ -31,6 +33,7 @@ export class DoorPen {
   }
 
   private begin(event: PointerEvent): void {
+    this.hasDrawn = this.isOut;
     if (!this.isOut) return;
     event.preventDefault();
     event.stopPropagation();
@@ -52,6 +55,11 @@ export class DoorPen {
     this.drop();
     if (!from || !fit || Math.hypot(to[0] - from[0], to[1] - from[1]) < SHORTEST_PX) return;
     this.onDrawn([fit.toPlan(from), fit.toPlan(to)]);
+  }
+
+  private press(event: Event): void {
+    if (this.hasDrawn) event.stopPropagation();
+    this.hasDrawn = false;
   }
 
   private drop(): void {

@@ -90,6 +90,14 @@ def test_a_wall_stops_the_robot_and_the_accelerometer_feels_it() -> None:
     assert abs(states[-1].v_world[0]) < 0.1
 
 
+@pytest.mark.parametrize("speed", [0.2, 0.3, 0.5])
+def test_a_wall_does_not_throw_the_robot_back(speed: float) -> None:
+    body = Body(make_world("checker", 0), BodyParameters(slip=False, wobble=False), (3.3, 3.3, 0.0), 0)
+    states = drive(body, [(9.0, speed, 0.0)])
+    assert min(s.v_world[0] for s in states) > -0.01
+    assert max(s.v_world[0] for s in states) < 1.1 * speed
+
+
 def test_slip_turns_less_than_commanded_as_measured_on_a_real_robot() -> None:
     rates = []
     for seed in range(10):
