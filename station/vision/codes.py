@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-import zxingcpp
 
 from shared.geometry import FloatArray
 from station.model.frames import ImageArray
 
+if TYPE_CHECKING:
+    import zxingcpp
+
 ENLARGED_WIDTH_PX = 1920  # at three times VGA 119 of 120 codes of 2.5 px a module are read, as they are 83
-QR = zxingcpp.BarcodeFormats(zxingcpp.BarcodeFormat.QRCode)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,9 +27,13 @@ class SeenCode:
 
 def read_codes(grey: ImageArray) -> list[SeenCode]:
     """All QR codes of a picture (H, W)."""
+    # Not kept for good by what workers are forked from: its binding calls that a leak, when the station ends.
+    import zxingcpp
+
     scale = max(1, round(ENLARGED_WIDTH_PX / grey.shape[1]))
     large = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
-    found = zxingcpp.read_barcodes(large, formats=QR, try_invert=False)
+    only_qr = zxingcpp.BarcodeFormats(zxingcpp.BarcodeFormat.QRCode)
+    found = zxingcpp.read_barcodes(large, formats=only_qr, try_invert=False)
     return [SeenCode(code.text, _corners(code.position, scale)) for code in found]
 
 

@@ -32,3 +32,4 @@ def test_workers_find_all_they_need_imported_and_no_thread_but_those_of_linear_a
     )
     # Matplotlib is none of it: a fifth of the imports' time, for a picture at the end of a calibration.
     assert seen.stdout == "1 [] False ['station.main']\n"
+    assert seen.stderr == ""  # nor does a library complain at the end of what is kept for good
