@@ -304,6 +304,10 @@ class SmoothingBackend:
     # ---- the rest of the interface
 
     def catch_up(self) -> bool:
+        if self._closer is not None:
+            with self._odometry.one_thread():
+                if self._closer.look_ahead():
+                    return True
         return self._odometry.catch_up()
 
     def keyframe_pictures(self) -> Sequence[bytes]:

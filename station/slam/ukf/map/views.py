@@ -82,6 +82,11 @@ class MapViews:
             self.describe_all()
             self._thin()
 
+    @property
+    def spacing(self) -> float:
+        """By how much more than at first they are apart: grows where some are left out."""
+        return self._spacing
+
     def begin_anew(self, keyframes: Sequence[Keyframe]) -> None:
         """Forget the views so far and choose among these keyframes."""
         self._spacing = 1.0
