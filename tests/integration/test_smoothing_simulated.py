@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import cache
 from typing import SupportsIndex, SupportsInt
@@ -134,18 +135,22 @@ def circle() -> list[ImuBatch | DriveSample | ImageFrame]:
     return list(drive(ShortDrive(end_s=20.0, turn_rad_s=1.5, world="room", start=(x, y, yaw + 1.2))))
 
 
-@cache
-def twice_around(closes: bool) -> tuple[list[Claim], list[SlamUpdate]]:
-    """The loops closed on the circle, and what is known on the way."""
-    backend = SmoothingBackend(CALIBRATION, SmoothingConfig(closes_loops=closes))
-    updates: list[SlamUpdate] = []
-    for event in circle():
+def feed(backend: SmoothingBackend, events: Iterable[ImuBatch | DriveSample | ImageFrame]) -> Iterator[SlamUpdate]:
+    """What each frame tells."""
+    for event in events:
         if isinstance(event, ImageFrame):
-            updates.append(backend.add_frame(event))
+            yield backend.add_frame(event)
         elif isinstance(event, DriveSample):
             backend.add_drive(event)
         else:
             backend.add_imu(event)
+
+
+@cache
+def twice_around(closes: bool) -> tuple[list[Claim], list[SlamUpdate]]:
+    """The loops closed on the circle, and what is known on the way."""
+    backend = SmoothingBackend(CALIBRATION, SmoothingConfig(closes_loops=closes))
+    updates = list(feed(backend, circle()))
     assert (backend._closer is not None) == closes
     return [] if backend._closer is None else list(backend._closer.closed.values()), updates
 
@@ -163,3 +168,53 @@ def test_a_circle_driven_again_closes_loops_in_the_map() -> None:
 
 def test_the_odometry_knows_nothing_of_loops() -> None:
     assert np.array_equal(poses(twice_around(closes=True)[1]), poses(twice_around(closes=False)[1]))
+
+
+def chosen(backend: SmoothingBackend) -> list[int]:
+    views = backend._odometry.memory.views
+    assert views is not None
+    return views.chosen_after(-1)
+
+
+def test_where_loops_are_closed_a_keyframe_is_a_view_at_once() -> None:
+    """The filter would give it away when it has seventeen newer ones, seconds later."""
+    backend = SmoothingBackend(CALIBRATION, SmoothingConfig(closes_loops=True))
+    waited = [
+        frame - chosen(backend)[-1]
+        for frame, update in enumerate(feed(backend, circle()))
+        if update.state == "tracking" and update.t_robot_ns > 3e9
+    ]
+    views = np.array(chosen(backend))
+    assert len(views) > 20 and max(waited) <= np.diff(views).max() + 1
+
+
+@pytest.mark.parametrize("is_lost", [False, True])
+def test_what_was_seen_in_a_blind_while_is_a_view_once_that_has_ended_well(
+    monkeypatch: pytest.MonkeyPatch, is_lost: bool
+) -> None:
+    backend = SmoothingBackend(CALIBRATION, SmoothingConfig(closes_loops=True))
+    before, keyframes = list[int](), list[int]()
+    for frame, _ in enumerate(feed(backend, circle())):
+        if frame == 45:
+            before = chosen(backend)
+            monkeypatch.setattr(UkfBackend, "is_blind", True)
+        if frame == 60:
+            assert chosen(backend) == before
+            keyframes = [k.source.frame.index for k in backend._keyframes]
+            if is_lost:
+                backend._end_window()
+                backend._odometry.memory.recent = {}  # as where the filter loses track
+            monkeypatch.setattr(UkfBackend, "is_blind", False)
+        if frame == 66:
+            break
+    seen_blind = [frame for frame in chosen(backend) if 45 < frame <= 60]
+    assert any(45 < frame <= 60 for frame in keyframes)
+    assert not seen_blind if is_lost else seen_blind
+
+
+def test_views_that_loops_wanted_are_the_filters_once_a_head_has_turned() -> None:
+    wanted = ShortDrive(end_s=3.6, head_s=1.6)
+    backend = SmoothingBackend(CALIBRATION, SmoothingConfig(closes_loops=True))
+    next(update for update in feed(backend, drive(wanted)) if backend._head_turned)
+    filtered = {k.image.index for k in backend._odometry.memory.keyframes.items}
+    assert backend._odometry.memory.chooses_views and set(chosen(backend)) <= filtered

@@ -35,7 +35,7 @@ from station.slam.smoothing.view_adjuster import ViewAdjuster
 from station.slam.ukf.backend import UkfBackend
 from station.slam.ukf.filter.constraints import WheelsKnown
 from station.slam.ukf.filter.state import FilterState
-from station.slam.ukf.map.keyframes import sample_colours
+from station.slam.ukf.map.keyframes import Keyframe, sample_colours
 from station.slam.ukf.map.pose_log import follow_poses
 from station.slam.ukf.map.view_map import BetterKnown
 from station.slam.ukf.memory import NavigationMemory, RecentFrame
@@ -74,6 +74,8 @@ class SmoothingBackend:
         self._tables: dict[int, LandmarkTable] = {}
         self._between: list[FrameBetween] = []
         self._closer: LoopCloser | None = None
+        self._odometry.memory.chooses_views = not self._config.closes_loops
+        self._not_yet_views: list[Keyframe] = []  # of a blind while, until it has ended well
         self._T_map_odom = np.eye(4)
         self._num_closed = 0  # loops of pieces of tracking that have ended
         self._head_turned = False
@@ -132,7 +134,7 @@ class SmoothingBackend:
 
     def _end_window(self) -> None:
         self._num_closed += 0 if self._closer is None else len(self._closer.closed)
-        self._window, self._closer = None, None
+        self._window, self._closer, self._not_yet_views = None, None, []
         self._odometry.imu_needed_since_ns = None
 
     def _leave_to_filter(self) -> None:
@@ -140,6 +142,10 @@ class SmoothingBackend:
         self._head_turned = True
         self._messages.append(HEAD_TURNED)
         self._keyframes, self._tables, self._between = [], {}, []
+        memory = self._odometry.memory
+        if memory.views is not None and not memory.chooses_views:
+            memory.chooses_views = True
+            memory.views.begin_anew(memory.keyframes.items)
 
     def _since_keyframe(self, state: FilterState) -> FloatArray:
         """T_keyframe_now by the filter, both poses as it has them now; while the keyframe is still in its window."""
@@ -279,12 +285,29 @@ class SmoothingBackend:
         assert self._window is not None
         self._restarts += not self._window.add(keyframe, image)
         self._keyframes.append(keyframe)
+        self._choose_view(keyframe)
         self._odometry.imu_needed_since_ns = keyframe.source.t_imu_ns  # the next one is linked to this one
         self._frames_since, self._all_still = 0, True
+
+    def _choose_view(self, keyframe: SmoothKeyframe) -> None:
+        """Where loops are closed a keyframe may be a view at once; the filter would have it wait in its window."""
+        memory = self._odometry.memory
+        if memory.views is None or memory.chooses_views:
+            return
+        self._not_yet_views.append(as_keyframe(keyframe))
+        if self._odometry.is_blind:
+            return
+        for waiting in self._not_yet_views:
+            memory.views.add(waiting)
+        self._not_yet_views = []
 
     # ---- the rest of the interface
 
     def catch_up(self) -> bool:
+        if self._closer is not None:
+            with self._odometry.one_thread():
+                if self._closer.look_ahead():
+                    return True
         return self._odometry.catch_up()
 
     def keyframe_pictures(self) -> Sequence[bytes]:

@@ -3,8 +3,9 @@
 The odometry (filter and window of keyframes) drifts and never jumps. What is seen again says where it has drifted to:
 T_map_odom. As REP-105 has it, who steers reads the odometry, who asks where the robot is reads T_map_odom with it.
 
-The work of a view is done in steps, one a frame, so that no frame waits for all of it and the same data give the
-same result, whoever has described views meanwhile.
+The work of a view is done in steps, one a frame, so that no frame waits for all of it. Steps that only look may be
+done before their frame, while no data wait: they go by the poses of the frame that chose the view, so that the same
+data give the same result, whoever has had time meanwhile.
 """
 
 from __future__ import annotations
@@ -75,7 +76,10 @@ class LoopCloser:
         self._shortlist = Shortlist(self._config)
         self._listed: list[int] = []  # frame indices
         self._newest = -1  # frame index of the newest view that was looked at
-        self._work: Iterator[str] = iter(())
+        self._work: Iterator[bool] = iter(())  # steps; each says whether the next one may be done before its frame
+        self._may_go_on = False
+        self._num_ahead = 0  # steps done before their frame
+        self._spacing = views.spacing
         self._claims: list[Claim] = []  # of the newest views
         self._T_map: dict[int, FloatArray] = {}  # by frame index, as the graph has them
         self.closed: dict[tuple[int, int], Claim] = {}  # by the frame indices of both
@@ -83,42 +87,67 @@ class LoopCloser:
 
     def look(self) -> None:
         """Do the next step of what the views ask for, called once a frame; and one more for each view that waits."""
+        if self._views.spacing != self._spacing:  # they were thinned out, and what was looked at may be gone
+            self._work, self._num_ahead, self._spacing = iter(()), 0, self._views.spacing
         for _ in range(1 + len(self._views.chosen_after(self._newest))):
-            if next(self._work, None) is None:
+            if self._num_ahead:
+                self._num_ahead -= 1
+            elif not self._step():
                 waiting = self._views.chosen_after(self._newest)
                 if not waiting:
                     return
                 self._newest = waiting[0]
-                self._work = self._look_back(self._newest)
+                self._work = self._look_back(self._newest, self._poses_until(self._newest))
+                self._may_go_on = True
+
+    def look_ahead(self) -> bool:
+        """Do a step before its frame; False where the next one has to wait for that."""
+        if not self._may_go_on or not self._step():
+            return False
+        self._num_ahead += 1
+        return True
+
+    def _step(self) -> bool:
+        """Do the next step of the view that is being looked at; False where there is none."""
+        may_go_on = next(self._work, None)
+        self._may_go_on = bool(may_go_on)
+        return may_go_on is not None
 
     # ---- the steps of one view
 
-    def _look_back(self, frame: int) -> Iterator[str]:
-        """Describe the view, see what it could show again, look at each of those, correct the map."""
+    def _look_back(self, frame: int, T_then: dict[int, FloatArray]) -> Iterator[bool]:
+        """Describe the view, see what it could show again, look at each of those, correct the map.
+
+        Args: T_then: poses of the views by the odometry, when it was chosen.
+        """
         self._views.describe_until(frame)
-        yield "described"
-        views, T_odom = self._known(frame)
+        yield True
+        views, T_odom = self._known(T_then)
         if not views or views[-1].frame_index != frame:
             return
         self._list(views)
         ways = self._ways(T_odom, {v.frame_index: k for k, v in enumerate(views)})
         alike = self._shortlist.most_alike(views[-1].features, self._within_reach(views, T_odom, ways))
-        yield "proposed"
-        found = False
-        for a in alike[: self._config.loops_per_keyframe]:
-            found = self._compare(views, T_odom, a, float(ways[a])) or found
-            yield "compared"
-        if found:
-            self._close(*self._known(frame))
+        alike = alike[: self._config.loops_per_keyframe]
+        yield bool(alike)
+        claims = []
+        for k, a in enumerate(alike):
+            claim = self._compare(views, T_odom, a, float(ways[a]))
+            claims += [] if claim is None else [claim]
+            yield k < len(alike) - 1
+        if claims:
+            self._claims += claims
+            self._close(*self._known(self._poses_until(frame)))
 
-    def _known(self, frame: int) -> tuple[list[View], FloatArray]:
-        """This segment's views up to one, as far as the odometry has a pose for them: (N, 4, 4)."""
-        found = [
-            (v, T)
-            for v in self._views.described()
-            if v.segment == self._segment and v.frame_index <= frame and (T := self._T_odom(v.frame_index)) is not None
-        ]
-        return [v for v, _ in found], np.array([T for _, T in found]).reshape(-1, 4, 4)
+    def _poses_until(self, frame: int) -> dict[int, FloatArray]:
+        """(4, 4) of the views up to one, as the odometry has them now; by frame index."""
+        frames = (f for f in self._views.chosen_after(-1) if f <= frame)
+        return {f: T for f in frames if (T := self._T_odom(f)) is not None}
+
+    def _known(self, T_odom: dict[int, FloatArray]) -> tuple[list[View], FloatArray]:
+        """This segment's views that have a pose, and those (N, 4, 4)."""
+        views = [v for v in self._views.described() if v.segment == self._segment and v.frame_index in T_odom]
+        return views, np.array([T_odom[v.frame_index] for v in views]).reshape(-1, 4, 4)
 
     def _list(self, views: list[View]) -> None:
         frames = [v.frame_index for v in views]
@@ -154,8 +183,8 @@ class LoopCloser:
         t_s = np.array([v.keyframe.image.t_robot_ns for v in views]) * 1e-9
         return [int(k) for k in np.flatnonzero(near & (t_s[-1] - t_s > MIN_AGO_S))]
 
-    def _compare(self, views: list[View], T_odom: FloatArray, a: int, way_m: float) -> bool:
-        """Whether the newest view shows what view number `a` showed, on a way over which the odometry drifted."""
+    def _compare(self, views: list[View], T_odom: FloatArray, a: int, way_m: float) -> Claim | None:
+        """That the newest view shows what view number `a` showed, on a way over which the odometry drifted; or None."""
         new, T_map = views[-1], self._in_map(views, T_odom)
         old, cov = self._seen_by(views, T_odom, a, T_map[a] @ inverse(T_odom[a]))
         rays = straight_rays(new, self._camera)
@@ -164,17 +193,16 @@ class LoopCloser:
             way_m, self._focal_px, DRIFT, self._config,
         )  # fmt: skip
         if found is None:
-            return False
+            return None
         located = locate(
             found.T_world_cam @ inverse(self._T_body_cam), old.points[found.landmark], cov[found.landmark],
             rays[found.pairs[:, 1]], self._camera.sigma_px / self._focal_px, self._T_body_cam,
         )  # fmt: skip
         if located is None:
-            return False
+            return None
         T_map_body, cov_pose = located
         cov_pose = cov_pose + np.diag(np.repeat([SIGMA_RAD**2, SIGMA_M**2], 3))
-        self._claims.append(Claim(views[a].frame_index, new.frame_index, inverse(T_map[a]) @ T_map_body, cov_pose))
-        return True
+        return Claim(views[a].frame_index, new.frame_index, inverse(T_map[a]) @ T_map_body, cov_pose)
 
     def _seen_by(
         self, views: list[View], T_odom: FloatArray, a: int, T_map_odom: FloatArray

@@ -311,6 +311,11 @@ class UkfBackend:
     def memory(self) -> NavigationMemory:
         return self._memory
 
+    @property
+    def is_blind(self) -> bool:
+        """Images have shown too little for a while: if tracking is lost by that, no poses are kept since then."""
+        return self._monitor.outage_since is not None
+
     def one_thread(self) -> AbstractContextManager[object]:
         """In which additions have one order, whatever the machine."""
         return self._blas.limit(limits=1)

@@ -65,6 +65,7 @@ class NavigationMemory:
         assert calibration.imu is not None
         self._noise = calibration.imu
         self.views = views
+        self.chooses_views = True  # else a backend that builds on the filter does
         self.calibration_check = CalibrationCheck(camera, calibration.imu, calibration.gravity)
         self.recent: dict[int, RecentFrame] = {}  # by ImageFrame.index, ascending
         self.poses = PoseLog()
@@ -133,7 +134,7 @@ class NavigationMemory:
         keyframe = self._keyframe(old, rgb, retired, state)
         self.keyframes.add(keyframe)
         self.calibration_check.add(keyframe)
-        if self.views is not None:
+        if self.views is not None and self.chooses_views:
             for turned in old.turned:
                 self.views.add(replace(turned, T_world_head=self._T_world_retired @ turned.T_world_head))
             self.views.add(replace(keyframe, link=old.since_turned) if old.turned else keyframe)
@@ -174,7 +175,7 @@ class NavigationMemory:
         hardly turned.
         """
         before = int(np.searchsorted(state.clone_frame, retired.frame_index)) - 1
-        if self.views is None or len(item.turned) >= MOST_TURNED or before < 0:
+        if self.views is None or not self.chooses_views or len(item.turned) >= MOST_TURNED or before < 0:
             return None
         T_before_world = inverse(se3(state.clone_R[before], state.clone_x[before]))
         T_before_head = T_before_world @ retired.T_world_head

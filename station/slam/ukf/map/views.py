@@ -82,6 +82,20 @@ class MapViews:
             self.describe_all()
             self._thin()
 
+    @property
+    def spacing(self) -> float:
+        """By how much more than at first they are apart: grows where some are left out."""
+        return self._spacing
+
+    def begin_anew(self, keyframes: Sequence[Keyframe]) -> None:
+        """Forget the views so far and choose among these keyframes."""
+        self._spacing = 1.0
+        self._chosen.clear()
+        self._newest, self._link, self._is_linked = None, None, False
+        self._items, self._pairs = [], []
+        for keyframe in keyframes:
+            self.add(keyframe)
+
     def piece(self, segment: int) -> int:
         """The first one of the segments that are mapped together with this one."""
         while segment in self.carried_on:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from shared.calibration import CameraCalibration, ImuNoise
 from shared.geometry import FloatArray, inverse, se3, so3_exp, yaw_rotation
 from station.model.frames import ImageFrame
-from station.slam.smoothing.closing import LoopCloser
+from station.slam.smoothing.closing import Claim, LoopCloser
 from station.slam.ukf.map.keyframes import Keyframe
 from station.slam.ukf.map.views import MapViews, View, ViewConfig
 from station.vision.camera_model import CameraModel
@@ -81,7 +83,8 @@ class Drive:
     def odometry(self, frame: int) -> FloatArray:
         return drifted(frame // FRAMES_PER_VIEW)
 
-    def run(self, views: int = VIEWS, describe_early: bool = False, first: int = 0) -> None:
+    def run(self, views: int = VIEWS, in_idle: Callable[[Drive], object] | None = None, first: int = 0) -> None:
+        """Args: in_idle: what is done between frames."""
         nothing = TrackedFrame(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 2)), 0, 0.0)
         for frame in range(first * FRAMES_PER_VIEW, views * FRAMES_PER_VIEW):
             if frame % FRAMES_PER_VIEW == 0:
@@ -90,10 +93,10 @@ class Drive:
                 zero = np.zeros(3)
                 rgb = np.zeros((0, 3), dtype=np.uint8)
                 self.views.add(Keyframe(image, nothing, rgb, T, zero, zero, np.zeros(6), 0, None, None))
-            if describe_early:
-                self.views.describe_next()
             self.closer.look()
             self.corrections.append(self.closer.T_map_odom)
+            if in_idle is not None:
+                in_idle(self)
 
 
 def off_m(T_map_odom: FloatArray, view: int) -> float:
@@ -112,12 +115,40 @@ def test_what_is_seen_again_takes_the_drift_out_of_the_map_and_leaves_the_odomet
     assert len(drive.closer.closed) > 10
 
 
-def test_a_correction_comes_at_the_same_frame_whoever_has_described_the_views(monkeypatch: pytest.MonkeyPatch) -> None:
-    late, early = (Drive(monkeypatch, Hall()) for _ in range(2))
+def look_ahead(drive: Drive) -> None:
+    while drive.closer.look_ahead():
+        pass
+
+
+@pytest.mark.parametrize("in_idle", [lambda drive: drive.views.describe_next(), look_ahead])
+@pytest.mark.parametrize("capacity", [300, PER_LAP + 8])
+def test_a_correction_comes_at_the_same_frame_whatever_was_done_before_it(
+    monkeypatch: pytest.MonkeyPatch, in_idle: Callable[[Drive], object], capacity: int
+) -> None:
+    late, early = (Drive(monkeypatch, Hall(), capacity) for _ in range(2))
     late.run(VIEWS - 12)
-    early.run(VIEWS - 12, describe_early=True)
+    early.run(VIEWS - 12, in_idle)
     assert np.array_equal(late.corrections, early.corrections)
     assert not np.array_equal(late.corrections[-1], np.eye(4))
+
+
+def test_what_looks_back_is_done_before_its_frame_where_there_is_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    drive, compare, is_idle = Drive(monkeypatch, Hall()), LoopCloser._compare, False
+    done_in_idle = list[bool]()
+
+    def watched(closer: LoopCloser, views: list[View], T_odom: FloatArray, a: int, way_m: float) -> Claim | None:
+        done_in_idle.append(is_idle)
+        return compare(closer, views, T_odom, a, way_m)
+
+    def idle(drive: Drive) -> None:
+        nonlocal is_idle
+        is_idle = True
+        look_ahead(drive)
+        is_idle = False
+
+    monkeypatch.setattr(LoopCloser, "_compare", watched)
+    drive.run(in_idle=idle)
+    assert len(done_in_idle) > 20 and all(done_in_idle)
 
 
 def test_what_only_looks_like_a_place_seen_before_closes_no_loop(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -140,11 +171,11 @@ def test_one_view_alone_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None
     drive = Drive(monkeypatch, Hall())
     compare, said = LoopCloser._compare, list[bool]()
 
-    def once(closer: LoopCloser, views: list[View], T_odom: FloatArray, a: int, way_m: float) -> bool:
-        if not said and compare(closer, views, T_odom, a, way_m):
+    def once(closer: LoopCloser, views: list[View], T_odom: FloatArray, a: int, way_m: float) -> Claim | None:
+        claim = None if said else compare(closer, views, T_odom, a, way_m)
+        if claim is not None:
             said.append(True)
-            return True
-        return False
+        return claim
 
     monkeypatch.setattr(LoopCloser, "_compare", once)
     drive.run()

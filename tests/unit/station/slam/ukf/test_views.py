@@ -125,6 +125,20 @@ def test_many_views_are_thinned_and_stay_connected() -> None:
     assert all((i, i + 1) in neighbours for i in range(len(items) - 1))
 
 
+def test_views_chosen_anew_are_as_if_there_had_been_no_others() -> None:
+    anew, alone = (MapViews(MODEL.lens, ViewConfig(min_flow=0.2), 0) for _ in range(2))
+    others, wanted = [keyframe(n, 150.0 * n) for n in range(3)], [keyframe(n, 140.0 * n) for n in range(1, 4)]
+    for k in others:
+        anew.add(k)
+    anew.describe_next()
+    anew.begin_anew(wanted)
+    for k in wanted:
+        alone.add(k)
+    (items, pairs), (items_alone, pairs_alone) = anew.describe_all(), alone.describe_all()
+    assert [v.frame_index for v in items] == [v.frame_index for v in items_alone] == [1, 2, 3]
+    assert [(a, b, len(p)) for a, b, p in pairs] == [(a, b, len(p)) for a, b, p in pairs_alone]
+
+
 @pytest.mark.parametrize("every", [1, 2, 5])
 def test_views_are_the_same_whenever_there_was_time_to_describe_them(every: int) -> None:
     at_once, later = (MapViews(MODEL.lens, ViewConfig(min_flow=0.2, capacity=8), 0) for _ in range(2))
