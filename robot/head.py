@@ -20,6 +20,7 @@ class CameraHead:
         self._calibration = calibration
         self._from = self._to = (0.0, 0.0)
         self._since_ns = 0
+        self._led = (0.0, 0.0)  # what the servos were told last
 
     def look(self, pan: float, tilt: float, now_ns: int) -> None:
         """Turn to these angles (rad), as far as the head can. Raises HardwareError as the servos do."""
@@ -45,6 +46,12 @@ class CameraHead:
         """Whether it is still on its way."""
         return self.told(now_ns) != self._to
 
+    def lags(self, now_ns: int) -> bool:
+        """Whether the servos were told other angles last: also when the whole way went by since."""
+        return self.told(now_ns) != self._led
+
     def lead(self, now_ns: int) -> None:
         """Tell the servos their angles of this time. Raises HardwareError as they do."""
-        self._point(*self.told(now_ns))
+        angles = self.told(now_ns)
+        self._point(*angles)
+        self._led = angles

@@ -370,11 +370,9 @@ class RobotServer:
         head = self.desk.head
         if head is None:
             return
-        is_turning = False
         while True:
             await asyncio.sleep(STEP_S)
-            was_turning, is_turning = is_turning, head.turns(self._now_ns())
-            if is_turning or was_turning:  # once more at the end of the way
+            if head.lags(self._now_ns()):
                 self._lead(head)
 
     def _lead(self, head: CameraHead) -> None:

@@ -6,6 +6,7 @@ import pytest
 
 from robot.head import CameraHead
 from shared.calibration import REFERENCE_HEAD
+from shared.errors import DeviceLost
 
 SECOND = 1_000_000_000
 
@@ -28,6 +29,34 @@ def test_the_head_turns_evenly_and_arrives() -> None:
     assert head.told(5 * SECOND + SECOND // 2) == pytest.approx((0.35, -0.07))
     head.lead(6 * SECOND + 1)
     assert servos.told[-1] == (0.7, -0.07) and not head.turns(6 * SECOND + 1)
+
+
+def test_a_head_whose_whole_way_went_by_unled_still_lags() -> None:
+    """Where the computer stood still for as long as it took."""
+    servos = Servos()
+    head = CameraHead(servos.point, REFERENCE_HEAD)
+    head.look(0.3, -0.1, 0)
+    assert not head.turns(9 * SECOND) and head.lags(9 * SECOND)
+    head.lead(9 * SECOND)
+    assert servos.told[-1] == (0.3, -0.1) and not head.lags(9 * SECOND)
+
+
+def test_servos_that_did_not_obey_are_told_again() -> None:
+    servos = Servos()
+    is_broken = [False]
+
+    def point(pan_rad: float, tilt_rad: float) -> None:
+        if is_broken[0]:
+            raise DeviceLost("no answer")
+        servos.point(pan_rad, tilt_rad)
+
+    head = CameraHead(point, REFERENCE_HEAD)
+    head.look(0.3, 0.0, 0)
+    is_broken[0] = True
+    with pytest.raises(DeviceLost):
+        head.lead(SECOND)
+    is_broken[0] = False
+    assert head.lags(SECOND)
 
 
 def test_another_wish_on_the_way_goes_on_from_there() -> None:
