@@ -56,13 +56,14 @@ def test_every_test_is_in_one_of_five_processes(folder: Path) -> None:
     assert result.returncode == 0, result.stderr
     assert of_pytest(result) == [
         "--durations=15 -m not hardware and not computing and not slow tests/integration/test_[!a-k]*.py",
-        "--durations=15 -m not hardware and computing tests/unit -p no:cacheprovider",
+        "--durations=15 -m not hardware and computing tests/unit --ignore tests/unit/station -p no:cacheprovider",
         "--durations=15 -p no:cacheprovider -m not hardware and not computing and slow tests/integration tests/e2e",
         "--durations=15 -p no:cacheprovider -m not hardware and not computing and not slow tests/e2e",
         "--durations=15 -m not hardware and computing tests/golden tests/property tests/integration tests/e2e"
         " -p no:cacheprovider",
-        "--durations=15 -m not hardware and not computing and not slow tests/integration/test_[a-k]*.py"
-        " -p no:cacheprovider",
+        "--durations=15 -p no:cacheprovider -m not hardware and not computing and not slow"
+        " tests/integration/test_[a-k]*.py",
+        "--durations=15 -p no:cacheprovider -m not hardware and computing tests/unit/station",
     ]
     folders = {path.relative_to(ROOT / "tests").parts[0] for path in (ROOT / "tests").glob("*/**/test_*.py")}
     assert folders == {"integration", "e2e", *COMPUTING} and {"golden", "property", "unit"} == COMPUTING
@@ -71,12 +72,20 @@ def test_every_test_is_in_one_of_five_processes(folder: Path) -> None:
 
 @pytest.mark.parametrize(
     "failing",
-    ["test_[!a-k]*.py", "test_[a-k]*.py", "computing and slow", "not slow tests/e2e", "tests/golden", "tests/unit"],
+    [
+        "test_[!a-k]*.py",
+        "test_[a-k]*.py",
+        "computing and slow",
+        "not slow tests/e2e",
+        "tests/golden",
+        "--ignore",
+        "computing tests/unit/station",
+    ],
 )
 def test_a_failure_in_any_of_them_fails_the_whole_and_all_are_shown(folder: Path, failing: str) -> None:
     result = run(folder, failing=failing)
     assert result.returncode == 1
-    assert len(of_pytest(result)) == 6
+    assert len(of_pytest(result)) == 7
 
 
 def test_lint_begins_before_what_is_missing_is_installed_and_tests_come_after_it(folder: Path) -> None:
