@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import cache
-from typing import SupportsIndex, SupportsInt
+from typing import SupportsIndex, SupportsInt, cast
 
 import gtsam
 import numpy as np
@@ -25,6 +25,7 @@ from station.slam.smoothing.closing import Claim
 from station.slam.smoothing.config import SmoothingConfig
 from station.slam.smoothing.fixed_lag import FixedLagWindow
 from station.slam.ukf.backend import UkfBackend
+from station.slam.ukf.map.views import MapViews
 from tests.support.drives.short import CALIBRATION, ShortDrive, drive
 
 pytestmark = pytest.mark.computing
@@ -171,9 +172,8 @@ def test_the_odometry_knows_nothing_of_loops() -> None:
 
 
 def chosen(backend: SmoothingBackend) -> list[int]:
-    views = backend._odometry.memory.views
-    assert views is not None
-    return views.chosen_after(-1)
+    """Frame indices of its views."""
+    return cast(MapViews, backend._odometry.memory.views).chosen_after(-1)
 
 
 def test_where_loops_are_closed_a_keyframe_is_a_view_at_once() -> None:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
 from shared.calibration import Calibration
 from shared.geometry import FloatArray, carry_poses, se3, yaw_rotation
 from station.model.navigation import Keyframes, Landmarks, Navigation, NavigationReport, Trajectory
+from station.places.rooms.surfaces import Seen, Surfaces, find_surfaces
 from tests.support.places import R_BODY_CAM
 from tests.support.rooms import CAMERA
 
@@ -33,6 +35,11 @@ ELL: tuple[Wall, ...] = (
     ((2.5, 5.0), (2.5, 2.5)), ((2.5, 2.5), (5.0, 2.5)), ((5.0, 2.5), (5.0, 0.0)),
 )  # fmt: skip
 WAY_OF_ELL = ((1.25, 3.8), (1.3, 1.3), (3.8, 1.25))
+
+
+def surfaces_seen(seen: Seen) -> Surfaces:
+    """Of what is known to show some: there are none of a flat without landmarks, or too large for a grid."""
+    return cast(Surfaces, find_surfaces(seen))
 
 
 def navigate(walls: Sequence[Wall], way: Sequence[tuple[float, float]], seed: int = 0) -> Navigation:

@@ -3,7 +3,8 @@
 Two things say where. The log odds that chose the plane say how much likelier it is than its neighbours; the landmarks
 on it say where they are. Of a patterned wall the landmarks lie within a centimetre and decide, of a bare one they
 belong to what stands before it, lie anywhere, and hardly count. So each says as much as it is sure: the mean of both by
-their variances. Where nothing was seen of a wall, it stays on its plane.
+their variances. Where nothing was seen of a wall, it stays on its plane, or half-way to the neighbour where that has
+but one.
 """
 
 from __future__ import annotations

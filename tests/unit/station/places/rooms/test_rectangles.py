@@ -16,17 +16,16 @@ from station.places.rooms.rectangles import Packed, Rectangle, _Choices, _packed
 from station.places.rooms.segments import _passed_unseen
 from station.places.rooms.sides import DOOR_PIECES, PASSAGE_PIECES, Sides, passage_costs, weigh_sides
 from station.places.rooms.standing import standing_sides
-from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Seen, Surfaces, find_surfaces
+from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Seen, Surfaces
 from station.places.rooms.wall_model import wall_model
-from tests.support.flats import DOOR, ELL, TWO_ROOMS, WAY_OF_ELL, WAY_OF_TWO, Wall, navigate
+from tests.support.flats import DOOR, ELL, TWO_ROOMS, WAY_OF_ELL, WAY_OF_TWO, Wall, navigate, surfaces_seen
 
 OVERLAP_M = 0.3  # rectangles that reach over each other by as much are rivals
 
 
 @functools.cache
 def packed(walls: tuple[Wall, ...], way: tuple[tuple[float, float], ...]) -> tuple[Surfaces, Sides, Packed]:
-    surfaces = find_surfaces(Seen.of(navigate(walls, way), np.eye(3)))
-    assert surfaces is not None
+    surfaces = surfaces_seen(Seen.of(navigate(walls, way), np.eye(3)))
     sides = weigh_sides(surfaces, wall_model())
     return surfaces, sides, find_rectangles(surfaces, sides, wall_model())
 
@@ -68,8 +67,7 @@ def test_where_the_body_was_no_plane_is_a_wall() -> None:
     path = np.column_stack([along, np.full(81, 0.05)])
     p = np.column_stack([np.repeat(along, 3), np.full(243, 0.1)])
     sights = np.column_stack([np.full(81, 0.0), np.full(81, -1.0), along, np.full(81, 0.05)])
-    surfaces = find_surfaces(Seen(p, np.tile([0.0, -1.0], (243, 1)), sights, path))
-    assert surfaces is not None
+    surfaces = surfaces_seen(Seen(p, np.tile([0.0, -1.0], (243, 1)), sights, path))
     is_wall = weigh_sides(surfaces, wall_model()).is_wall[1, -1]
     planes = np.round((np.array([0.05, 0.1, 0.15]) - surfaces.low[1]) / LINE_M).astype(int)
     begin, end = np.round((np.array([-1.5, 1.5]) - surfaces.low[0]) / PIECE_M).astype(int)
@@ -149,8 +147,7 @@ def test_a_door_nobody_saw_is_in_the_wall_beside_it_not_half_way_to_a_cupboards_
 
 def test_a_path_whose_first_step_leads_into_another_room_has_a_door_there() -> None:
     seen = replace(Seen.of(navigate(TWO_ROOMS, WAY_OF_TWO), np.eye(3)), path=np.array([[3.7, DOOR[1]], [4.4, DOOR[1]]]))
-    surfaces = find_surfaces(seen)
-    assert surfaces is not None
+    surfaces = surfaces_seen(seen)
     k = [round((x - surfaces.low[0]) / LINE_M) for x in (0.0, 4.0, 4.1, 8.1)]
     y = [round((y - surfaces.low[1]) / LINE_M) for y in (0.0, 4.0)]
     rectangles = (Rectangle(k[0], k[1], *y), Rectangle(k[2], k[3], *y))

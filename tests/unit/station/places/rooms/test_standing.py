@@ -14,9 +14,9 @@ from shared.geometry import FloatArray
 from station.places.rooms.rectangles import Rectangle, find_rectangles
 from station.places.rooms.sides import Sides, weigh_sides
 from station.places.rooms.standing import place_by_landmarks, place_by_planes, standing_sides, weighed
-from station.places.rooms.surfaces import LINE_M, ON_M, Seen, Surfaces, find_surfaces
+from station.places.rooms.surfaces import LINE_M, ON_M, Seen, Surfaces
 from station.places.rooms.wall_model import wall_model
-from tests.support.flats import navigate
+from tests.support.flats import navigate, surfaces_seen
 
 METRES = st.floats(-ON_M, ON_M)
 VARIANCES = st.floats(0.0, 1.0)
@@ -28,8 +28,7 @@ def room(moved_m: float) -> tuple[Surfaces, Sides, tuple[Rectangle, ...]]:
     a, b, c = moved_m, 4.0 + moved_m, 3.0 + moved_m
     walls = (((a, a), (b, a)), ((a, c), (b, c)), ((a, a), (a, c)), ((b, a), (b, c)))
     navigation = navigate(walls, ((1.0 + moved_m, 1.5 + moved_m), (3.0 + moved_m, 1.5 + moved_m)))
-    surfaces = find_surfaces(Seen.of(navigation, np.eye(3)))
-    assert surfaces is not None
+    surfaces = surfaces_seen(Seen.of(navigation, np.eye(3)))
     sides = weigh_sides(surfaces, wall_model())
     return surfaces, sides, find_rectangles(surfaces, sides, wall_model()).rectangles
 
