@@ -117,7 +117,7 @@ class LibraryJobs(LibraryProgram):
         """
         if self._built is None:
             return
-        pictures = DescribedPictures()
+        pictures = DescribedPictures(self._built.navigation.calibration.up_in_image_deg)
         for folder in folders:
             pictures.add(folder / PICTURES)
         encoded = self._built.navigation.keyframes.encoded
