@@ -309,7 +309,8 @@ def ask(demo: Demo, told: str) -> tuple[Sample | None, str]:
     """One question for the current place; says it when the answer changed."""
     answer = demo.station.get("/place/current")
     place, room = answer["place"], answer["room"]
-    named = where(place["name"] if place else "", room["name"] if room else "")
+    is_elsewhere = bool(place and room) and place["room"] not in (None, room["id"])
+    named = where(place["name"] if place else "", room["name"] if room else "", is_elsewhere)
     two = sorted(answer["one_of_two"], key=lambda one: str(one["name"]))  # of two alike either may be ahead
     words = named or (f"in {' or '.join(one['name'] for one in two)}" if two else answer["state"])
     if words != told:
