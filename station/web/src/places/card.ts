@@ -1,10 +1,10 @@
 // The current place in large letters, and why; the places of the map in use.
-import type { CurrentPlace, PlaceModel, PlacesChangeModel, VisitModel } from "../link/messages";
+import type { CurrentPlace, PlaceModel, VisitModel } from "../link/messages";
 import { by, make, setText, show } from "../ui/dom";
 import { action, Rows } from "../ui/rows";
 import { count, duration, percent } from "../ui/text";
 import { attempt } from "../ui/toast";
-import { change, undo } from "./changes";
+import { change } from "./changes";
 import { colourOf } from "./colours";
 import { openPlace } from "./dialog";
 import { Timeline } from "./timeline";
@@ -28,15 +28,9 @@ export class PlaceView {
     return this.timeline.reload();
   }
 
-  /** The places of the map in use, hidden ones too, and what people made of them. */
-  setPlaces(places: PlaceModel[], changes: PlacesChangeModel[]): void {
+  /** The places of the map in use, hidden ones too. */
+  setPlaces(places: PlaceModel[]): void {
     this.places = places;
-    const [last] = changes;
-    show(by("undo"), last !== undefined);
-    if (last) {
-      setText(by("undo-text"), last.why);
-      by("undo-places").onclick = () => attempt(() => undo(last));
-    }
     this.colours = new Map(places.map((p) => [p.id, p.colour]));
     this.timeline.colours = this.colours;
     this.showColour();
