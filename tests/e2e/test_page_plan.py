@@ -170,6 +170,6 @@ async def test_of_two_rooms_that_look_alike_both_are_named_each_with_its_probabi
     await page.goto(room.desk.address)
     await room.desk.http.put("/maps/active", json={"id": planned.id})
     await expect(page.locator("#place-name")).to_have_text("Bedroom or Bedroom 2")
-    await expect(page.locator("#place-at")).to_have_text("Bedroom 52 %, Bedroom 2 46 %")
+    await expect(page.locator("#place-at")).to_have_text("52 % or 46 %")
     await expect(page.locator("#place-kicker")).to_have_text("One of two rooms")
     await expect(page.locator("#place-probability")).to_have_text("")

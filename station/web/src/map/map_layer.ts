@@ -70,7 +70,8 @@ export class MapLayer extends SceneLayer {
   }
 
   showPlace(place: CurrentPlace): void {
-    this.camera.place(place.map === this.wanted.id ? place.pose_map : null); // in another active map it is elsewhere
+    const isHere = place.map === this.wanted.id && !place.withheld; // in another active map it is elsewhere
+    this.camera.place(isHere ? place.pose_map : null);
     const id = place.place?.id ?? null;
     if (id === this.currentPlaceId) return;
     this.currentPlaceId = id;
