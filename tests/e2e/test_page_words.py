@@ -51,7 +51,7 @@ def place_of(name: str, room_id: str | None) -> Told:
 
 
 async def test_a_place_of_another_room_is_told_by_the_door_or_not_at_all(room: Room) -> None:
-    told = {"room": LIVING_ROOM} | place_of("Child's room · door to Living room", "room-k")
+    told: Told = {"room": LIVING_ROOM} | place_of("Child's room · door to Living room", "room-k")
     page = await planned_page(room, told)
     name, below, kicker = (page.locator(selector) for selector in ("#place-name", "#place-at", "#place-kicker"))
     await expect(name).to_have_text("Living room")
