@@ -66,6 +66,7 @@ class Visits:
         if likeliest is not None:
             is_elsewhere = None not in (visit.place_room, visit.room_id) and visit.place_room != visit.room_id
             words = where(visit.place_name, visit.room_name, is_elsewhere)
-            self._events.notify("place", f"{words} ({likeliest.probability:.0%})")
+            sure = room if room is not None and is_elsewhere else likeliest
+            self._events.notify("place", f"{words} ({sure.probability:.0%})")
         elif last is not None:
             self._events.notify("place", answer.reason, "warning" if answer.state == "lost" else "info")
