@@ -1,4 +1,4 @@
-"""Ask a station which place its robot is at; nothing but Python's standard library.
+"""Ask a station which room its robot is in, and at which place; nothing but Python's standard library.
 
 python examples/place_client.py [--station http://127.0.0.1:8080] [--follow]
 A station that others reach asks who you are: --token TOKEN --certificate station-data/access/certificate.pem
@@ -57,14 +57,16 @@ class Station:
 
 def sentence(answer: dict[str, Any]) -> str:
     """The answer as a person would say it."""
-    if answer["state"] != "known":
-        return f"{answer['state']}: {answer['reason']}"
-    away = "" if answer["distance_m"] is None else f", {answer['distance_m']:.1f} m from its middle"
-    return f"at {answer['place']['name']} ({answer['probability']:.0%}{away}): {answer['reason']}"
+    place, room = answer["place"], answer["room"]
+    words = [f"in {room['name']} ({room['probability']:.0%})"] if room else []
+    if place and (not room or place["room"] in (None, room["id"])):  # else the nearest place is another room's
+        away = "" if answer["distance_m"] is None else f", {answer['distance_m']:.1f} m from its middle"
+        words.append(f"at {place['name']} ({answer['probability']:.0%}{away})")
+    return f"{', '.join(words) or answer['state']}: {answer['reason']}"
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description="Ask a station which place its robot is at.")
+    parser = argparse.ArgumentParser(description="Ask a station which room its robot is in, and at which place.")
     parser.add_argument("--station", default="http://127.0.0.1:8080")
     parser.add_argument("--follow", action="store_true", help="say every change until Ctrl-C")
     parser.add_argument("--token", default="", help="from `station access add`")
@@ -75,12 +77,13 @@ def main() -> int:
     try:
         while True:
             answer = station.current_place()
-            now = (answer["state"], answer["place"])
+            room = answer["room"] and answer["room"]["id"]
+            now = (answer["state"], answer["place"], room)
             if now != told:
                 told = now
                 print(sentence(answer), flush=True)
             if not options.follow:
-                return 0 if answer["state"] == "known" else 1
+                return 0 if answer["place"] or room else 1
             time.sleep(POLL_S)
     except RuntimeError as exc:
         print(f"place_client: {exc}", file=sys.stderr)

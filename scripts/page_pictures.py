@@ -73,6 +73,12 @@ def look_around(camera: Camera) -> None:
     camera.take("whole", whole=True)
     for what, opener in DIALOGS.items():
         camera.dialog(what, opener)
+    pen = page.locator("#draw-door")
+    if pen.is_visible():
+        pen.click()
+        page.locator(".map").scroll_into_view_if_needed()
+        camera.take("pen")
+        pen.click()
     page.locator("[data-layer=map]").click()  # the plan lies over it
     page.locator("[data-view=free]").click()
     page.locator("#scene").scroll_into_view_if_needed()

@@ -52,6 +52,30 @@ def without_invisible(text: str) -> str:
     return _UNSEEN.sub("", text)
 
 
+def columns(text: str) -> int:
+    """As how many Latin letters it is wide: an ideogram is as two, what lies on the letter before as none."""
+    return sum(map(_columns_of, text))
+
+
+def fitted(text: str, width: int) -> str:
+    """All of it where it is so many columns wide, else its beginning and an ellipsis."""
+    if columns(text) <= width:
+        return text
+    kept, left = "", width - 1
+    for letter in text:
+        left -= _columns_of(letter)
+        if left < 0:
+            break
+        kept += letter
+    return f"{kept.rstrip()}…"
+
+
+def _columns_of(letter: str) -> int:
+    if unicodedata.category(letter) in ("Mn", "Me", "Cf"):
+        return 0
+    return 2 if unicodedata.east_asian_width(letter) in "WF" else 1
+
+
 def explain(error: Exception) -> str:
     """What a decoder complains of; it may quote what came, and names our pattern by its regular expression."""
     said = str(error)

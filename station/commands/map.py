@@ -175,7 +175,10 @@ def rooms(
     config: Config = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print rooms and doors as JSON on stdout.")] = False,
 ) -> None:
-    """Rooms, their areas and the doors between them. Of a map older than plans they are found now."""
+    """Rooms, the names that are suggested for them, and doors. Of a map older than plans they are found now.
+
+    Nothing is named by a suggestion: click into the room on the page, or PATCH /rooms/{id}, to use it.
+    """
     place_map = open_map(which, data, config)
     if place_map.plan is None:
         with working("looking for rooms and doors"):

@@ -309,11 +309,13 @@ def ask(demo: Demo, told: str) -> tuple[Sample | None, str]:
     """One question for the current place; says it when the answer changed."""
     answer = demo.station.get("/place/current")
     place, room = answer["place"], answer["room"]
-    named = where(place["name"] if place else "", room["name"] if room else "")
+    is_elsewhere = bool(place and room) and place["room"] not in (None, room["id"])
+    named = where(place["name"] if place else "", room["name"] if room else "", is_elsewhere)
     two = sorted(answer["one_of_two"], key=lambda one: str(one["name"]))  # of two alike either may be ahead
     words = named or (f"in {' or '.join(one['name'] for one in two)}" if two else answer["state"])
     if words != told:
-        probability = answer["probability"] if place else room["probability"] if room else None
+        of_room = room["probability"] if room and (not place or is_elsewhere) else None
+        probability = answer["probability"] if place and of_room is None else of_room
         shares = [one["probability"] for one in two] if probability is None else [probability]
         sure = f" ({' or '.join(f'{share:.0%}' for share in shares)})" if shares else ""
         demo.say(f"    current place: {words}{sure}: {answer['reason']}")

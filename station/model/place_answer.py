@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from shared.geometry import FloatArray, IntArray
-from station.model.place_map import ROOM_SEPARATOR
+from station.model.place_map import DOOR_TO, ROOM_SEPARATOR
 
 PlaceState = Literal["known", "unknown", "lost"]
 
@@ -39,6 +39,7 @@ class PlaceCandidate:
     id: str
     name: str
     probability: float
+    room: str | None = None  # id of the room it is in
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,18 +54,18 @@ class RoomCandidate:
     probability: float
 
 
-def where(place: str, room: str) -> str:
+def where(place: str, room: str, is_elsewhere: bool = False) -> str:
     """Names of the place and the room in words, each empty where it is not known: "at Sofa in Living room".
 
-    A place that is called after its room says the room already. In a doorway the nearest place may be another room's:
-    "in Hall, near Kitchen · door to Hall".
+    A place that is called after its room says the room already. The nearest place may be another room's
+    (`is_elsewhere`): then it is left out, or tells of the door between both: "in Hall, near the door to Kitchen".
     """
-    of_room, is_in_room, _ = place.partition(ROOM_SEPARATOR)
     if not (place and room):
         return f"at {place}" if place else f"in {room}" if room else ""
-    if is_in_room and of_room != room:
-        return f"in {room}, near {place}"
-    return f"at {place}" if is_in_room or place == room else f"at {place} in {room}"
+    if is_elsewhere:
+        behind = place.removesuffix(f"{ROOM_SEPARATOR}{DOOR_TO} {room}")
+        return f"in {room}" if behind == place else f"in {room}, near the door to {behind}"
+    return f"at {place}" if place == room or place.startswith(room + ROOM_SEPARATOR) else f"at {place} in {room}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,11 +89,12 @@ class PlaceAnswer:
     doorway: str | None = None  # id of the door that the robot is in
     forward_map: FloatArray | None = None  # (3,) unit vector, where the robot's front points; where there is a position
     sigma_position: float | None = None  # map units, 1 sigma per axis of the position
+    is_withheld: bool = False  # place and room would not be told if they were known: doubt position and probabilities
 
     def withheld(self, why: str) -> PlaceAnswer:
-        """Place and room are but likely, the position stays. As it is where it is sure of neither."""
+        """Place and room are but likely, the position stays. Its words stay where it is sure of neither."""
         if self.state != "known" and self.room is None and not self.one_of_two:
-            return self
+            return replace(self, is_withheld=True)
         place = () if self.place is None else (self.place,)
         room = () if self.room is None else (self.room,)
         return replace(
@@ -106,6 +108,7 @@ class PlaceAnswer:
             room_alternatives=(*room, *self.room_alternatives),
             one_of_two=(),
             doorway=None,
+            is_withheld=True,
         )
 
 

@@ -11,6 +11,7 @@ from station.model.navigation import Navigation
 
 EdgeKind = Literal["seen together", "driven between", "nearest"]
 ROOM_SEPARATOR = " · "  # in the name of a place that is called after its room
+DOOR_TO = "door to"  # follows it, where the place is beside one of several doors, before the name of the other room
 PlaceGrain = Literal["rooms", "fine"]  # a few places in each room, or every cluster of landmarks
 
 

@@ -20,6 +20,7 @@ class Visit:
     state: PlaceState
     place_id: str | None
     place_name: str
+    place_room: str | None  # id of the room that the place is in
     room_id: str | None  # may be known where the place is not
     room_name: str
     start_wall_s: float
@@ -48,6 +49,7 @@ class Visits:
             answer.state,
             place.id if place else None,
             place.name if place else "",
+            place.room if place else None,
             room.id if room else None,
             room.name if room else "",
             now_s,
@@ -62,6 +64,9 @@ class Visits:
         self._visits.append(visit)
         likeliest = place or room
         if likeliest is not None:
-            self._events.notify("place", f"{where(visit.place_name, visit.room_name)} ({likeliest.probability:.0%})")
+            is_elsewhere = None not in (visit.place_room, visit.room_id) and visit.place_room != visit.room_id
+            words = where(visit.place_name, visit.room_name, is_elsewhere)
+            sure = room if room is not None and is_elsewhere else likeliest
+            self._events.notify("place", f"{words} ({sure.probability:.0%})")
         elif last is not None:
             self._events.notify("place", answer.reason, "warning" if answer.state == "lost" else "info")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
 
@@ -11,6 +12,7 @@ from playwright.async_api import Route, WebSocketRoute, expect
 from tests.e2e.conftest import Room
 from tests.support.station import store_planned_map, store_split_map
 
+HALL = "Hall where the coats and shoes are"
 pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="module")]
 
 
@@ -99,6 +101,57 @@ async def test_while_rooms_are_made_one_the_page_says_that_the_plan_is_made_anew
     await expect(page.locator("#toast").get_by_role("button", name="Undo")).to_be_visible()
 
 
+async def test_undo_that_is_pressed_before_a_door_is_erased_takes_the_erasing_back(room: Room) -> None:
+    split = store_split_map(room.desk.station.config.data_dir)
+    assert split.plan is not None
+    page = await room.open()
+    await room.desk.http.put("/maps/active", json={"id": split.id})
+    first = split.plan.rooms[0].id
+    await room.desk.http.patch(f"/rooms/{first}", json={"name": HALL})
+    await expect(page.locator("#undo-text")).to_contain_text(f"is {HALL} now")
+    button = await page.locator("#undo-places").bounding_box()
+    assert button is not None and button["height"] < 40  # its word is in one line, however long the change is
+
+    async def erase_when_undo_was_pressed(route: Route) -> None:
+        await page.locator("#undo-places").click()
+        await expect(page.locator("#undo-text")).to_contain_text("as soon as")
+        await route.continue_()
+
+    await page.route(re.compile("/doors/"), erase_when_undo_was_pressed)
+    await page.locator(".plan-door").first.press("Enter")
+    await page.locator("#toast").get_by_role("button", name="Erase").click()
+    await expect(page.locator("#toast")).to_contain_text("Taken back: the door between")
+    await expect(page.locator(".plan-room")).to_have_count(2)
+    await expect(page.locator(f".plan-room[data-room={first}]")).to_have_attribute(
+        "aria-label", HALL
+    )  # that change stays
+    await expect(page.locator("#undo-text")).to_contain_text(f"is {HALL} now")
+
+
+async def test_undo_while_the_list_of_changes_lags_behind_asks_about_the_newest_one(room: Room) -> None:
+    planned = store_planned_map(room.desk.station.config.data_dir)
+    page = await room.open()
+    await room.desk.http.put("/maps/active", json={"id": planned.id})
+    await room.desk.http.patch("/rooms/room-l", json={"name": "Hall"})
+    await expect(page.locator("#undo-text")).to_contain_text("is Hall now")
+    is_pressed = asyncio.Event()
+
+    async def lag_behind(route: Route) -> None:
+        await is_pressed.wait()
+        await route.continue_()
+
+    await page.route(re.compile("/places/changes$"), lag_behind)
+    await room.desk.http.patch("/rooms/room-k", json={"name": "Kitchen"})  # by somebody else
+    await expect(page.locator(".plan-names [data-room=room-k]")).to_have_text("Kitchen")
+    async with page.expect_response(re.compile("/places/undo$")):
+        await page.locator("#undo-places").click()
+    is_pressed.set()
+    await expect(page.locator("#toast")).to_contain_text("Meanwhile: Room 2 is Kitchen now.")
+    await page.locator("#toast").get_by_role("button", name="Undo").click()
+    await expect(page.locator(".plan-names [data-room=room-k]")).to_have_text("Room 2")
+    await expect(page.locator("#undo-text")).to_contain_text("is Hall now")
+
+
 async def test_of_two_rooms_that_look_alike_both_are_named_each_with_its_probability(room: Room) -> None:
     planned = store_planned_map(room.desk.station.config.data_dir)
     two = [{"id": "room-l", "name": "Bedroom", "probability": 0.52}]
@@ -122,6 +175,6 @@ async def test_of_two_rooms_that_look_alike_both_are_named_each_with_its_probabi
     await page.goto(room.desk.address)
     await room.desk.http.put("/maps/active", json={"id": planned.id})
     await expect(page.locator("#place-name")).to_have_text("Bedroom or Bedroom 2")
-    await expect(page.locator("#place-at")).to_have_text("Bedroom 52 %, Bedroom 2 46 %")
+    await expect(page.locator("#place-at")).to_have_text("52 % or 46 %")
     await expect(page.locator("#place-kicker")).to_have_text("One of two rooms")
     await expect(page.locator("#place-probability")).to_have_text("")

@@ -78,13 +78,12 @@ def test_a_hijacked_robot_is_found_in_the_map_that_slam_made(system: RealSystem)
 
 
 # All at one moment: with the next answer the place may be open again while its room is known. The place stands beneath
-# its room, which is in large letters, with its probability; near it stands a robot that is in another room.
+# its room, which is in large letters, with its probability; a place of another room does not.
 KNOWN_PLACE = """() => {
     const by = (id) => document.getElementById(id);
     if (by("place").dataset.state !== "known") return null;
-    return by("place-at").checkVisibility()
-        ? by("place-at").innerText.replace(/^near /, "").replace(/, [^,]*$/, "")
-        : by("place-name").innerText;
+    if (by("place").dataset.room !== "true") return by("place-name").innerText;
+    return by("place-at").textContent.match(/^(.*), \\d+ %$/)?.[1] ?? null;
 }"""
 
 

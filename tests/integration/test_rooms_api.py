@@ -47,6 +47,14 @@ async def test_a_rooms_name_is_taken_from_it_and_given_back(tmp_path: Path) -> N
         assert is_problem(await http.patch("/rooms/room-k", json={"name": ""}), 422)
 
 
+async def test_a_place_says_of_which_room_it_is_now_and_an_answer_whether_it_is_withheld(tmp_path: Path) -> None:
+    planned = store_planned_map(tmp_path)
+    async with at_work(tmp_path) as (desk, _, _):
+        await desk.http.put("/maps/active", json={"id": planned.id})
+        answer = await wait_for(desk, "/place/current", lambda a: a["place"])
+        assert answer["place"]["room"] == "room-l" and answer["withheld"] is False
+
+
 async def test_of_two_rooms_that_look_alike_both_are_told_and_none_is_named(tmp_path: Path) -> None:
     planned = store_planned_map(tmp_path)
     async with at_work(tmp_path, place_program=OneOfTwoRooms) as (desk, _, _):

@@ -23,6 +23,13 @@ class PlaceName(Model):
     name: str = Field(examples=["Kitchen"])
 
 
+class PlaceInRoom(PlaceName):
+    room: str | None = Field(
+        description="id of the room that the place is in; the robot may be in another, near a door",
+        examples=["room-3f21aa"],
+    )
+
+
 class PlaceProbability(PlaceName):
     probability: float = Field(
         description="that it is the nearest one or within 10 % of that: several may sum to more than 1", examples=[0.07]
@@ -56,7 +63,7 @@ class CurrentPlace(Model):
     """
 
     state: Literal["known", "unknown", "lost"]
-    place: PlaceName | None
+    place: PlaceInRoom | None
     probability: float = Field(
         description="that `place` is the nearest one or within 10 % of that; of the likeliest one while none is known",
         examples=[0.97],
@@ -90,6 +97,11 @@ class CurrentPlace(Model):
     preparing: float | None = Field(
         description="0..1 while the map is prepared for answers; else null", examples=[None]
     )
+    withheld: bool = Field(
+        description="the calibration does not fit: no place or room is told, and position, alternatives and their "
+        "probabilities are what would follow if it did",
+        examples=[False],
+    )
     reason: str = Field(description="in a sentence", examples=["84 landmarks of the map were recognised 0.2 s ago"])
     t_robot_ns: int | None = Field(description="sensor time the answer is about, robot clock")
     pose_map: list[float] | None = Field(
@@ -101,7 +113,7 @@ class VisitModel(Model):
     """A stretch of time with one answer."""
 
     state: Literal["known", "unknown", "lost"]
-    place: PlaceName | None
+    place: PlaceInRoom | None
     room: RoomName | None
     start_unix_s: float
     end_unix_s: float
@@ -221,6 +233,7 @@ def current_place(robot: RobotSession) -> CurrentPlace:
             one_of_two=[],
             doorway=None,
             evidence=Evidence(query_image=None, map_image=None, inliers=0, age_s=None),
+            withheld=False,
             reason=_no_answer_yet(robot),
             preparing=robot.current_place.progress if first else None,
             t_robot_ns=None,
@@ -242,7 +255,7 @@ def current_place(robot: RobotSession) -> CurrentPlace:
     has_query = evidence_ns is not None and robot.current_place.query_image(evidence_ns) is not None
     return CurrentPlace(
         state=answer.state,
-        place=PlaceName(id=answer.place.id, name=known[answer.place.id][0].name) if answer.place else None,
+        place=_in_room(*known[answer.place.id]) if answer.place else None,
         probability=_probability(likeliest.probability if likeliest else 0.0),
         distance_m=answer.distance if is_metric else None,
         position_map=None if answer.position_map is None else [float(x) for x in answer.position_map],
@@ -266,11 +279,17 @@ def current_place(robot: RobotSession) -> CurrentPlace:
             inliers=answer.inliers,
             age_s=None if evidence_ns is None else _age_s(robot, evidence_ns),
         ),
+        withheld=answer.is_withheld,
         reason=robot.looks_aside or answer.reason,
         preparing=None,
         t_robot_ns=answer.t_robot_ns,
         pose_map=None if report.T_map_cam is None else [float(x) for x in report.T_map_cam.ravel()],
     )
+
+
+def _in_room(place: Place, active: ActiveMap) -> PlaceInRoom:
+    plan = active.place_map.plan
+    return PlaceInRoom(id=place.id, name=place.name, room=None if plan is None else plan.room_of_place.get(place.id))
 
 
 def _no_answer_yet(robot: RobotSession) -> str:
@@ -295,7 +314,9 @@ def _age_s(robot: RobotSession, t_robot_ns: int) -> float | None:
 def visit_model(visit: Visit) -> VisitModel:
     return VisitModel.of(
         visit,
-        place=None if visit.place_id is None else PlaceName(id=visit.place_id, name=visit.place_name),
+        place=None
+        if visit.place_id is None
+        else PlaceInRoom(id=visit.place_id, name=visit.place_name, room=visit.place_room),
         room=None if visit.room_id is None else RoomName(id=visit.room_id, name=visit.room_name),
         start_unix_s=visit.start_wall_s,
         end_unix_s=visit.end_wall_s,

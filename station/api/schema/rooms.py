@@ -15,6 +15,7 @@ from station.model.floor_plan import NameSuggestion, Room, SuggestionSource
 from station.model.points import NO_PLACE
 from station.places.rooms.drawing import room_outlines
 from station.places.rooms.lines import driven_path
+from station.places.rooms.summary import suggested
 
 Coordinate = Annotated[Number, Field(ge=-1e6, le=1e6)]
 Point = list[float]
@@ -119,11 +120,7 @@ def room_model(active: ActiveMap, room: Room) -> RoomModel:
             for place in active.visible_places
             if plan.room_of_place.get(place.id) == room.id
         ],
-        suggestions=[
-            _suggestion_model(active, suggestion)
-            for suggestion in sorted(active.place_map.suggestions, key=lambda s: -s.confidence)
-            if suggestion.room == room.id and suggestion.name.casefold() != room.name.casefold()
-        ],
+        suggestions=[_suggestion_model(active, suggestion) for suggestion in suggested(active.place_map, room)],
     )
 
 

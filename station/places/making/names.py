@@ -6,7 +6,6 @@ from station.model.place_map import ROOM_SEPARATOR
 
 NAME_PREFIX = "Place "
 DOOR_SIDE = "door side"  # of a room with one door
-DOOR_TO = "door to"
 
 
 def name_in_room(room: str, which: int | str) -> str:

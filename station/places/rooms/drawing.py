@@ -11,12 +11,13 @@ import cv2
 import numpy as np
 
 from shared.geometry import FloatArray, IntArray
+from shared.text import columns, fitted
 from station.model.floor_plan import NO_ROOM, OCCUPIED, FloorPlan
 from station.model.place_map import PlaceMap
 
 MARGIN_M = 0.6
 TEXT_M = 0.26  # height of a room's name where the room has space for it
-LEAST_TEXT_M = 0.1
+LEAST_TEXT_M = 0.13  # a longer name is cut: smaller letters nobody reads
 LETTER = 0.6  # mean width of a letter over the text's height
 WIDEST_SWING_M = 1.3  # a wider door has no leaf
 SMOOTH_CELLS = 0.8  # outlines of rooms lose what is finer
@@ -29,10 +30,11 @@ Colour = tuple[int, int, int]
 class DrawnRoom:
     id: str
     name: str
+    label: str  # the name, as much of it as the room is wide
     area: str  # "12.4 m²"; "" where nobody knows the scale
     colour: Colour
     outlines: tuple[FloatArray, ...]  # (n, 2) each, closed
-    middle: FloatArray  # (2,)
+    middle: FloatArray  # (2,) of the label
     text_m: float  # height of its name
 
 
@@ -127,10 +129,15 @@ def _rooms(plan: FloorPlan, is_metric: bool) -> tuple[DrawnRoom, ...]:
     drawn = []
     for number, (room, outlines) in enumerate(zip(plan.rooms, room_outlines(plan), strict=True)):
         metres = tuple(outline / plan.unit for outline in outlines)
-        width = float(np.ptp(metres[0][:, 0])) if metres else 1.0
-        text_m = float(np.clip(0.85 * width / (LETTER * max(len(room.name), 4)), LEAST_TEXT_M, TEXT_M))
+        middle = room.middle / plan.unit
+        left, right = (metres[0][:, 0].min(), metres[0][:, 0].max()) if metres else middle[0] + np.array([-0.5, 0.5])
+        space = 0.85 * float(right - left)
+        text_m = float(np.clip(space / (LETTER * max(columns(room.name), 4)), LEAST_TEXT_M, TEXT_M))
+        label = fitted(room.name, max(1, int(space / (LETTER * text_m) + 1e-9)))
+        half = min(LETTER * text_m * columns(label), right - left) / 2
+        middle = np.array([np.clip(middle[0], left + half, right - half), middle[1]])
         area = f"{room.area / plan.unit**2:.1f} m²" if is_metric else ""
-        drawn.append(DrawnRoom(room.id, room.name, area, room_colour(number), metres, room.middle / plan.unit, text_m))
+        drawn.append(DrawnRoom(room.id, room.name, label, area, room_colour(number), metres, middle, text_m))
     return tuple(drawn)
 
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from station.model.floor_plan import FloorPlan
-from station.model.place_map import ROOM_SEPARATOR, Place
-from station.places.making.names import DOOR_SIDE, DOOR_TO, NAME_PREFIX, name_in_room
+from station.model.place_map import DOOR_TO, ROOM_SEPARATOR, Place
+from station.places.making.names import DOOR_SIDE, NAME_PREFIX, name_in_room
 
 DOOR_SIDE_M = 1.2  # from a door's middle to the place's: what one touches while passing
 

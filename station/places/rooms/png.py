@@ -95,7 +95,7 @@ class _Page:
     def label(self, room: DrawnRoom) -> None:
         x, y = self.px(room.middle).tolist()
         size = max(8, round(room.text_m * self.scale))
-        self._text(room.name, x, y, size)
+        self._text(room.label, x, y, size)
         if room.area:
             self._text(room.area, x, y + 1.25 * size, max(8, round(0.75 * size)))
 

@@ -63,17 +63,19 @@ class _Page:
     def room(self, room: DrawnRoom) -> str:
         fill = "#{:02x}{:02x}{:02x}".format(*room.colour)
         d = "".join(f"M{self.points(outline).replace(' ', 'L')}z" for outline in room.outlines)
-        return f'<path class="room" data-id="{escape(room.id)}" fill="{fill}" d="{d}"/>'
+        title = f"<title>{escape(room.name)}</title>"
+        return f'<path class="room" data-id="{escape(room.id)}" fill="{fill}" d="{d}">{title}</path>'
 
     def label(self, room: DrawnRoom) -> str:
         x, y = self.xy(room.middle).tolist()
         size = room.text_m * PX_PER_M
         around = 'stroke="#ffffff" stroke-width="3" stroke-opacity="0.8" paint-order="stroke"'
-        name = f'<tspan x="{x:.1f}" font-weight="600">{escape(room.name)}</tspan>'
+        title = f"<title>{escape(room.name)}</title>"
+        name = f'<tspan x="{x:.1f}" font-weight="600">{escape(room.label)}</tspan>'
         area = f'<tspan x="{x:.1f}" dy="1.25em" font-size="{0.75 * size:.1f}">{room.area}</tspan>' if room.area else ""
         return (
             f'<text class="room-name" data-id="{escape(room.id)}" x="{x:.1f}" y="{y:.1f}" font-size="{size:.1f}" '
-            f'text-anchor="middle" fill="{INK}" {around}>{name}{area}</text>'
+            f'text-anchor="middle" fill="{INK}" {around}>{title}{name}{area}</text>'
         )
 
     def door(self, door: DrawnDoor) -> str:

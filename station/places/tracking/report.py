@@ -178,8 +178,11 @@ class Reporter:
         raise IndexError(number)
 
     def _place_candidate(self, number: int, probability: float) -> PlaceCandidate:
-        place = self._place(number)
-        return PlaceCandidate(place.id, place.name, probability)
+        map_index, place_index = self._located(number)
+        place_map = self._maps[map_index].place_map
+        place, plan = place_map.places[place_index], place_map.plan
+        room = None if plan is None else plan.room_of_place.get(place.id)
+        return PlaceCandidate(place.id, place.name, probability, room)
 
     def _doubts_only_the_map(self, found: PlaceProbabilities) -> bool:
         """Were the position surely in the map, so was the place: what is open is where the map ends."""

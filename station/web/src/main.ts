@@ -9,6 +9,7 @@ import type { EventMessage, LogModel, RobotEntry } from "./link/messages";
 import { LastingSocket } from "./link/socket";
 import { MapView } from "./map/view";
 import { PlaceView } from "./places/card";
+import { lastChange } from "./places/changes";
 import { PlanView } from "./plan/view";
 import { Review } from "./review/review";
 import { offerNoOthers, offerOthers, showChoice } from "./robots/choice";
@@ -38,7 +39,7 @@ function makeMap(): MapView | null {
   try {
     return new MapView(video.canvas, plan, {
       onPlace: (place) => places.open(place),
-      onPlaces: (all, changes) => places.setPlaces(all, changes),
+      onPlaces: (all) => places.setPlaces(all),
     });
   } catch {
     by("scene-empty").textContent = "This browser shows no 3D graphics (WebGL is off).";
@@ -78,6 +79,7 @@ function take(message: EventMessage): void {
       attempt(() => plan.showMap(message.has_plan ? message.active : null));
       if (map) attempt(() => map.showMap(message.active, message.revision));
       else plan.setVisible(message.has_plan);
+      attempt(() => lastChange.showMap(message.active));
       attempt(() => library.reloadMaps());
       break;
     case "job":

@@ -272,7 +272,7 @@ export interface ComparisonOrder {
 /** Which place the robot is at, and in which room. `place` is null unless the state is "known"; the room may be */
 export interface CurrentPlace {
   state: "known" | "unknown" | "lost";
-  place: PlaceName | null;
+  place: PlaceInRoom | null;
   /** that `place` is the nearest one or within 10 % of that; of the likeliest one while none is known */
   probability: number;
   /** robot to the place's centroid; null without a metric map */
@@ -299,6 +299,8 @@ export interface CurrentPlace {
   evidence: Evidence;
   /** 0..1 while the map is prepared for answers; else null */
   preparing: number | null;
+  /** the calibration does not fit: no place or room is told, and position, alternatives and their probabilities are what would follow if it did */
+  withheld: boolean;
   /** in a sentence */
   reason: string;
   /** sensor time the answer is about, robot clock */
@@ -721,6 +723,13 @@ export interface PlaceChange {
   hidden: boolean | null;
 }
 
+export interface PlaceInRoom {
+  id: string;
+  name: string;
+  /** id of the room that the place is in; the robot may be in another, near a door */
+  room: string | null;
+}
+
 /** Which places are one; it keeps id and name of the first. */
 export interface PlaceMerge {
   places: string[];
@@ -1027,7 +1036,7 @@ export interface UsedNoise {
 /** A stretch of time with one answer. */
 export interface VisitModel {
   state: "known" | "unknown" | "lost";
-  place: PlaceName | null;
+  place: PlaceInRoom | null;
   room: RoomName | null;
   start_unix_s: number;
   end_unix_s: number;

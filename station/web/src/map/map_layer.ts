@@ -1,7 +1,7 @@
 // The active map: its cloud, its places with their names, its graph, and the robot in it.
 import type * as THREE from "three";
 import { call } from "../link/api";
-import type { CurrentPlace, GraphModel, PlaceModel, PlacesChangeModel } from "../link/messages";
+import type { CurrentPlace, GraphModel, PlaceModel } from "../link/messages";
 import { Refresh } from "../link/refresh";
 import { by } from "../ui/dom";
 import { Camera3d } from "./camera";
@@ -18,17 +18,16 @@ interface MapVersion {
 interface MapContent {
   graph: GraphModel | null;
   places: PlaceModel[];
-  changes: PlacesChangeModel[];
   cloud: Cloud | null; // null: the one that is shown already
 }
 
-const NO_CONTENT: MapContent = { graph: null, places: [], changes: [], cloud: null };
+const NO_CONTENT: MapContent = { graph: null, places: [], cloud: null };
 
 export interface MapLayerEvents extends LayerEvents {
   /** The name of a place was clicked. */
   onPlace: (place: PlaceModel) => void;
   /** There are places of another map, or changed ones; hidden ones too. */
-  onPlaces: (places: PlaceModel[], changes: PlacesChangeModel[]) => void;
+  onPlaces: (places: PlaceModel[]) => void;
   /** The active map, or something in it, is another one. */
   onMap: (isOther: boolean) => void;
 }
@@ -71,7 +70,8 @@ export class MapLayer extends SceneLayer {
   }
 
   showPlace(place: CurrentPlace): void {
-    this.camera.place(place.map === this.wanted.id ? place.pose_map : null); // in another active map it is elsewhere
+    const isHere = place.map === this.wanted.id && !place.withheld; // in another active map it is elsewhere
+    this.camera.place(isHere ? place.pose_map : null);
     const id = place.place?.id ?? null;
     if (id === this.currentPlaceId) return;
     this.currentPlaceId = id;
@@ -91,24 +91,23 @@ export class MapLayer extends SceneLayer {
     }
     const isNew = wanted.id !== this.shown.id || wanted.revision !== this.shown.revision;
     try {
-      const [graph, places, changes, cloud] = await Promise.all([
+      const [graph, places, cloud] = await Promise.all([
         call<GraphModel>("GET", "/graph"),
         call<PlaceModel[]>("GET", "/places"),
-        call<PlacesChangeModel[]>("GET", "/places/changes"),
         isNew ? fetchCloud(`/maps/${wanted.id}/landmarks`) : null,
       ]);
       // Another one's graph: it was chosen meanwhile, and its event is on the way.
-      if (this.wanted === wanted && graph.map === wanted.id) this.take(wanted, { graph, places, changes, cloud });
+      if (this.wanted === wanted && graph.map === wanted.id) this.take(wanted, { graph, places, cloud });
     } catch (error) {
       if (this.wanted === wanted) throw error; // of a map that nobody wants any more it means nothing
     }
   }
 
-  private take(version: MapVersion, { graph, places, changes, cloud }: MapContent): void {
+  private take(version: MapVersion, { graph, places, cloud }: MapContent): void {
     const isOther = version.id !== this.shown.id;
     this.shown = version;
     this.numPlaces = graph?.nodes.length ?? null;
-    this.events.onPlaces(places, changes);
+    this.events.onPlaces(places);
     if (isOther || cloud) {
       this.clear();
       if (cloud) this.addCloud(cloud);

@@ -1,6 +1,6 @@
 // The 3D view: the active map, the running navigation, or what a person looks at again.
 import type * as THREE from "three";
-import type { CurrentPlace, PlaceModel, PlacesChangeModel, SlamModel } from "../link/messages";
+import type { CurrentPlace, PlaceModel, SlamModel } from "../link/messages";
 import { by, setText, show } from "../ui/dom";
 import { Switch } from "../ui/switch";
 import { Ground } from "./ground";
@@ -18,7 +18,7 @@ export interface MapViewEvents {
   /** The name of a place was clicked. */
   onPlace: (place: PlaceModel) => void;
   /** There are places of another map, or changed ones; hidden ones too. */
-  onPlaces: (places: PlaceModel[], changes: PlacesChangeModel[]) => void;
+  onPlaces: (places: PlaceModel[]) => void;
 }
 
 /** Which layer is shown, and whether a person chose it. */

@@ -1,16 +1,21 @@
 // The current place in large letters, and why; the places of the map in use.
-import type { CurrentPlace, PlaceModel, PlacesChangeModel, VisitModel } from "../link/messages";
+import type { CurrentPlace, PlaceModel, VisitModel } from "../link/messages";
 import { by, make, setText, show } from "../ui/dom";
 import { action, Rows } from "../ui/rows";
 import { count, duration, percent } from "../ui/text";
 import { attempt } from "../ui/toast";
-import { change, undo } from "./changes";
+import { change } from "./changes";
 import { colourOf } from "./colours";
 import { openPlace } from "./dialog";
 import { Timeline } from "./timeline";
+import { placeInWords, roomsOf } from "./words";
+
+const LONG = 18; // letters of a name in large type that a line of a phone has space for
 
 export class PlaceView {
   private readonly timeline = new Timeline();
+  private readonly at = make("span", { id: "place-at-name" });
+  private readonly atSure = make("span", { id: "place-at-sure" });
   private places: PlaceModel[] = [];
   private colours = new Map<string, number>();
   private current: string | null = null;
@@ -23,20 +28,21 @@ export class PlaceView {
     },
   );
 
+  constructor() {
+    by("place-at").append(this.at, this.atSure);
+    by("place").addEventListener("click", ({ currentTarget: card }) => {
+      if (card instanceof HTMLElement) card.toggleAttribute("data-whole"); // on a phone, where long sentences are cut
+    });
+  }
+
   /** The visits before now. */
   reload(): Promise<void> {
     return this.timeline.reload();
   }
 
-  /** The places of the map in use, hidden ones too, and what people made of them. */
-  setPlaces(places: PlaceModel[], changes: PlacesChangeModel[]): void {
+  /** The places of the map in use, hidden ones too. */
+  setPlaces(places: PlaceModel[]): void {
     this.places = places;
-    const [last] = changes;
-    show(by("undo"), last !== undefined);
-    if (last) {
-      setText(by("undo-text"), last.why);
-      by("undo-places").onclick = () => attempt(() => undo(last));
-    }
     this.colours = new Map(places.map((p) => [p.id, p.colour]));
     this.timeline.colours = this.colours;
     this.showColour();
@@ -62,44 +68,58 @@ export class PlaceView {
       place.map === null ? "No map in use" : place.preparing === null ? "No answer yet" : "Getting ready…";
     const otherwise = hasAnswer && place.map !== null ? words[place.state] : noAnswer;
     const room = roomInWords(place);
-    setText(by("place-name"), room ?? place.place?.name ?? otherwise);
+    const name = room ?? place.place?.name ?? otherwise;
+    setWithTitle(by("place-name"), name);
+    by("place-name").classList.toggle("long", name.length > LONG);
     card.dataset.room = String(place.room !== null);
-    const at = by("place-at");
-    show(at, room !== null);
-    setText(at, placeOrRooms(place) ?? otherwise);
-    const shown = place.room?.probability ?? (place.place ? place.probability : place.preparing);
-    setText(by("place-probability"), shown === null ? "" : percent(shown));
-    setText(
-      by("place-kicker"),
-      place.doorway !== null
-        ? "In the doorway"
-        : place.place && place.distance_m !== null
-          ? `${room === null ? "Current place" : "Current room and place"} · ${place.distance_m.toFixed(1)} m away`
-          : room === null
-            ? "Current place"
-            : place.room === null
-              ? "One of two rooms"
-              : "Current room",
-    );
-    setText(by("place-reason"), place.reason);
-    by("place-reason").title = place.reason;
+    this.showPlaceOf(place, room !== null);
+    this.showProbability(place);
+    setText(by("place-kicker"), kicker(place));
+    setWithTitle(by("place-reason"), place.reason);
     const preparing = by("preparing", HTMLProgressElement);
     show(preparing, place.preparing !== null);
     if (place.preparing !== null) preparing.value = place.preparing;
     this.current = place.place?.id ?? null;
     this.showColour();
-    by("alternatives").replaceChildren(
-      ...place.alternatives
-        .filter((a) => a.probability >= 0.01)
-        .slice(0, 3)
-        .map((a) => {
-          const bar = make("span", { class: "meter" });
-          bar.style.setProperty("--share", String(a.probability));
-          return make("li", {}, a.name, bar, make("span", { class: "number" }, percent(a.probability)));
-        }),
-    );
+    this.showAlternatives(place);
     this.showEvidence(place);
     if (visit) this.timeline.add(visit);
+  }
+
+  /** Beneath its room: a long name is cut, its probability is not. */
+  private showPlaceOf(place: CurrentPlace, hasRoom: boolean): void {
+    const at = hasRoom ? placeOrRooms(place) : null;
+    show(by("place-at"), at !== null);
+    setWithTitle(this.at, at?.words ?? "");
+    setText(this.atSure, at?.sure ?? "");
+  }
+
+  /** In large type, and of what it is: a room and its place are two questions, each with its own answer. */
+  private showProbability({ room, place, probability, preparing }: CurrentPlace): void {
+    const shown = room?.probability ?? (place ? probability : preparing);
+    setText(by("place-probability"), shown === null ? "" : percent(shown));
+    setText(by("place-probability-of"), shown === null ? "" : room ? "room" : place ? "place" : "ready");
+  }
+
+  /** Other places that it may be at; of an answer that is withheld they are as doubtful as the answer. */
+  private showAlternatives({ place, probability, alternatives, withheld }: CurrentPlace): void {
+    const likely = withheld ? [] : alternatives.filter((a) => a.probability >= 0.01).slice(0, 3);
+    const shares = [...(place ? [probability] : []), ...likely.map((a) => a.probability)];
+    const sum = shares.reduce((whole, share) => whole + Math.round(100 * share), 0);
+    show(by("else"), likely.length > 0);
+    setText(
+      by("else-title"),
+      (place ? "Perhaps as near" : "Nearest place, perhaps") +
+        (sum > 100 ? " (between places several are right: together more than 100 %)" : ""),
+    );
+    by("alternatives").replaceChildren(
+      ...likely.map((a) => {
+        const bar = make("span", { class: "meter" });
+        bar.style.setProperty("--share", String(a.probability));
+        const name = make("span", { class: "name", title: a.name }, a.name);
+        return make("li", {}, name, bar, make("span", { class: "number" }, percent(a.probability)));
+      }),
+    );
   }
 
   /** Answers and the places they name come one by one: whichever is later shows the colour. */
@@ -130,22 +150,36 @@ export class PlaceView {
 }
 
 /** The room in large letters: one, both of a doorway, or which two it may be; null: nothing is known of it. */
-function roomInWords({ room, room_alternatives: others, one_of_two: two, doorway }: CurrentPlace): string | null {
-  if (room) return doorway !== null && others[0] ? `${room.name} / ${others[0].name}` : room.name;
+function roomInWords(current: CurrentPlace): string | null {
+  const rooms = roomsOf(current);
+  if (rooms.length) return rooms.map(({ name }) => name).join(" / ");
+  const { one_of_two: two } = current;
   return two.length ? two.map((one) => one.name).join(" or ") : null;
 }
 
-/** Below the room: the place, or how probable each of two rooms is; null: neither is known. */
-function placeOrRooms(current: CurrentPlace): string | null {
+/** Below the room: the place, or how probable each of two rooms is; null: the nearest place is another room's. */
+function placeOrRooms(current: CurrentPlace): { words: string; sure: string } | null {
   const { place, probability, one_of_two: two } = current;
-  if (place) return `${placeInWords(current, place.name)}, ${percent(probability)}`;
-  return two.length ? two.map((one) => `${one.name} ${percent(one.probability)}`).join(", ") : null;
+  if (!place && two.length) return { words: two.map((one) => percent(one.probability)).join(" or "), sure: "" };
+  if (!place) return { words: "not sure at which place", sure: "" };
+  const words = placeInWords(place, roomsOf(current));
+  return words === null ? null : { words, sure: words === place.name ? `, ${percent(probability)}` : "" };
 }
 
-/** The nearest place; "near" it where the robot is in another room than the one that it is called after. */
-function placeInWords({ room, doorway }: CurrentPlace, name: string): string {
-  const [ofRoom, which] = name.split(" · ");
-  return room && doorway === null && which !== undefined && ofRoom !== room.name ? `near ${name}` : name;
+/** Above the name: what it is. */
+function kicker(current: CurrentPlace): string {
+  const { place, room, one_of_two: two, doorway, distance_m: distance } = current;
+  if (doorway !== null) return "In the doorway";
+  if (!room && two.length) return "One of two rooms";
+  const isTold = place !== null && placeInWords(place, roomsOf(current)) === place.name;
+  const what = room ? (isTold ? "Current room and place" : "Current room") : "Current place";
+  return isTold && distance !== null ? `${what} · ${distance.toFixed(1)} m away` : what;
+}
+
+/** A text that may be cut, whole beside the pointer. */
+function setWithTitle(node: HTMLElement, text: string): void {
+  setText(node, text);
+  node.title = text;
 }
 
 function setImage(image: HTMLImageElement, path: string | null): void {

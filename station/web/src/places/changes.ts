@@ -1,20 +1,18 @@
-// What a person makes of places: another name, hidden, merged; each change can be taken back.
+// What a person makes of places and rooms: another name, hidden, merged, doors; each change can be taken back.
 import { call } from "../link/api";
-import type { PlaceChange, PlaceModel, PlacesChangeModel } from "../link/messages";
-import { toast, working } from "../ui/toast";
+import type { PlaceChange, PlaceModel } from "../link/messages";
+import { working } from "../ui/toast";
+import { LastChange } from "./last_change";
+
+export const lastChange = new LastChange();
 
 export function change(place: PlaceModel, what: Partial<PlaceChange>): Promise<PlaceModel> {
   return call("PATCH", `/places/${place.id}`, what);
 }
 
-export function undo(made: PlacesChangeModel): Promise<unknown> {
-  return call("POST", "/places/undo", { version: made.version });
-}
-
 /** Do it, and offer for a while to take just that back; later there is the list of navigations and maps. */
-export async function undoable(work: () => Promise<unknown>): Promise<void> {
-  await work();
-  await offerUndo();
+export function undoable(work: () => Promise<unknown>): Promise<void> {
+  return lastChange.make(work);
 }
 
 /** The same of a plan, which is made anew: that takes seconds, and more in a large home. */
@@ -23,7 +21,7 @@ export function undoablePlan(work: () => Promise<unknown>): Promise<void> {
   return undoable(work);
 }
 
-export async function offerUndo(): Promise<void> {
-  const [made] = await call<PlacesChangeModel[]>("GET", "/places/changes");
-  if (made) toast(`${made.why}.`, { label: "Undo", act: () => undo(made) });
+/** The same of what is done already. */
+export function offerUndo(): Promise<void> {
+  return undoable(() => Promise.resolve());
 }

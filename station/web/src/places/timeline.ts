@@ -4,6 +4,7 @@ import type { VisitModel } from "../link/messages";
 import { by, make, show } from "../ui/dom";
 import { clock } from "../ui/text";
 import { colourOf } from "./colours";
+import { placeInWords } from "./words";
 
 const TIMELINE_S = 180;
 
@@ -37,15 +38,12 @@ export class Timeline {
     const from = now - TIMELINE_S;
     const line = by("timeline");
     const recent = this.visits.filter((v) => v.end_unix_s > from);
-    line.setAttribute(
-      "aria-label",
-      `Places visited: ${recent.map((v) => v.place?.name ?? v.room?.name ?? v.state).join(", ") || "none"}`,
-    );
+    line.setAttribute("aria-label", `Places visited: ${recent.map(nameOf).join(", ") || "none"}`);
     line.replaceChildren(
       ...recent.map((v) => {
         const left = Math.max(0, (v.start_unix_s - from) / TIMELINE_S);
         const width = Math.max(0.004, (Math.min(v.end_unix_s, now) - Math.max(v.start_unix_s, from)) / TIMELINE_S);
-        const name = v.place?.name ?? v.room?.name ?? v.state;
+        const name = nameOf(v);
         const piece = make(
           "span",
           { class: v.state, title: `${name}, since ${clock(v.start_unix_s)}` },
@@ -60,4 +58,10 @@ export class Timeline {
     );
     show(line, recent.length > 0);
   }
+}
+
+/** The place, or the room where the nearest place is another room's. */
+function nameOf({ place, room, state }: VisitModel): string {
+  const words = place && placeInWords(place, room ? [room] : []);
+  return words ?? room?.name ?? state;
 }

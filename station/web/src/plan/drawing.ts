@@ -1,14 +1,18 @@
 // The floor plan as a drawing: rooms, walls, doors, places, and what lies over them.
 import type { DoorModel, FloorPlanModel, PlanPlace, PlanRoom } from "../link/messages";
 import { colourOf } from "../places/colours";
+import { context2d } from "../ui/dom";
 import type { Fit } from "./fit";
 import { closedPath, draw } from "./svg";
 
-const NAME_PX = 8.2; // width of a letter of a room's name
+const NAME_FONT = "620 15px"; // of a room's name, as in style.css
+const HERE = 18 / 15; // so much larger is the name of the room where the robot is
+const NAME_EDGE_PX = 4; // between a name and the walls beside it
 const LEAST_LETTERS = 5; // of fewer nobody knows what they begin
 const DOT_PX = 6; // radius
 const LEAST_DOOR_PX = 6; // a narrower one is drawn, but nobody would hit it: its rooms' dialogs make them one
 const WALL_PX = { widest: 5, narrowest: 1.2, metres: 0.2 }; // on a large plan walls leave space for rooms
+const ruler = context2d(document.createElement("canvas"));
 const SCALE_BARS_M = [0.5, 1, 2, 5, 10, 20];
 
 /** Everything of the plan that does not move. What can be pressed says by its data which room, door or dot it is. */
@@ -46,15 +50,35 @@ function drawRoom(room: PlanRoom, number: number, fit: Fit): SVGElement {
 }
 
 function drawName(room: PlanRoom, fit: Fit): SVGElement[] {
-  const [x, y] = fit.toScreen(room.middle);
+  const [middle, y] = fit.toScreen(room.middle);
   const across = room.outline.flat().map((at) => fit.toScreen(at)[0]);
-  const space = Math.max(...across, x) - Math.min(...across, x);
-  const letters = Math.floor(space / NAME_PX);
-  if (letters < Math.min(room.name.length, LEAST_LETTERS)) return [];
-  const name = room.name.length > letters ? `${room.name.slice(0, Math.max(letters - 1, 1))}…` : room.name;
+  const [left, right] = [Math.min(...across, middle), Math.max(...across, middle)];
+  const space = right - left - 2 * NAME_EDGE_PX;
+  const name = cut(room.name, space);
+  if (name === null) return [];
+  const width = widthOf(name);
+  const half = Math.min(width / 2 + NAME_EDGE_PX, (right - left) / 2);
+  const x = Math.min(Math.max(middle, left + half), right - half); // all of it within the room
   const text = draw("text", { x, y, "data-room": room.id }, name);
   if (!room.named) text.classList.add("unnamed");
+  if (HERE * width > space) text.classList.add("tight");
   return [text];
+}
+
+/** As much of a name as there is space for; null: so little that nobody knows what it begins. */
+function cut(name: string, space: number): string | null {
+  const whole = widthOf(name);
+  if (whole <= space) return name;
+  const letters = Array.from(name);
+  let kept = Math.floor((letters.length * Math.max(space, 0)) / whole);
+  const beginning = () => `${letters.slice(0, kept).join("").trimEnd()}…`;
+  while (kept >= LEAST_LETTERS - 1 && widthOf(beginning()) > space) kept -= 1;
+  return kept < LEAST_LETTERS - 1 ? null : beginning();
+}
+
+function widthOf(name: string): number {
+  ruler.font = `${NAME_FONT} ${getComputedStyle(document.body).fontFamily}`;
+  return ruler.measureText(name).width;
 }
 
 /** Where a door can be pressed: wider than it is drawn, which the paths of all doors do. */

@@ -5,13 +5,18 @@ import { draw } from "./svg";
 
 const SURE = 2; // sigmas that the disc around it shows: 86 % of where it may be
 
-/** Nothing while its position in this map is not known. */
+/** Nothing while its position in this map is not known; of an answer that is withheld only where it would be. */
 export function drawRobot(place: CurrentPlace | null, plan: FloorPlanModel, fit: Fit): SVGElement[] {
   if (!place?.position_map || place.map !== plan.map) return [];
   const [x, y] = fit.toScreen(onPlan(plan, place.position_map));
   const sigma = (place.sigma_position_m ?? 0) * plan.unit;
-  const robot = draw("g", { class: `plan-robot ${place.state}`, transform: `translate(${x} ${y})` });
-  robot.append(draw("circle", { class: "around", r: Math.max(fit.length(SURE * sigma), 12) }));
+  const kind = place.withheld ? "withheld" : place.state;
+  const robot = draw("g", { class: `plan-robot ${kind}`, transform: `translate(${x} ${y})` });
+  robot.append(draw("circle", { class: "around", r: Math.max(fit.length(SURE * sigma), place.withheld ? 24 : 12) }));
+  if (place.withheld) {
+    robot.append(draw("text", { y: 6 }, "?"));
+    return [robot];
+  }
   if (place.forward_map) {
     const ahead = fit.toScreen(
       onPlan(

@@ -14,8 +14,6 @@ from station.model.place_answer import where
         ("Kitchen table", "Kitchen", "at Kitchen table in Kitchen"),
         ("Kitchen · 2", "Kitchen", "at Kitchen · 2"),
         ("Kitchen · door to Room 1", "Kitchen", "at Kitchen · door to Room 1"),
-        ("Kitchen · door to Room 1", "Room 1", "in Room 1, near Kitchen · door to Room 1"),
-        ("Room 12 · 2", "Room 1", "in Room 1, near Room 12 · 2"),
         ("Kitchen", "Kitchen", "at Kitchen"),
         ("Sofa", "", "at Sofa"),
         ("", "Kitchen", "in Kitchen"),
@@ -24,3 +22,16 @@ from station.model.place_answer import where
 )
 def test_a_place_is_said_to_be_in_the_room_that_the_robot_is_in(place: str, room: str, words: str) -> None:
     assert where(place, room) == words
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ("Kitchen · door to Room 1", "in Room 1, near the door to Kitchen"),
+        ("Kitchen · door to Room 12", "in Room 1"),
+        ("Room 12 · 2", "in Room 1"),
+        ("Fridge", "in Room 1"),
+    ],
+)
+def test_a_place_of_another_room_is_told_by_the_door_between_both_or_not_at_all(place: str, words: str) -> None:
+    assert where(place, "Room 1", is_elsewhere=True) == words

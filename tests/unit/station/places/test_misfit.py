@@ -53,6 +53,7 @@ def test_a_robot_whose_calibration_nobody_can_correct_does_not_know_its_place(fi
     answer = tracker.answer(SECOND)
     assert answer.state == "unknown" and answer.place is None and answer.distance is None
     assert answer.alternatives[0].id == "map-1"  # where it would be
+    assert answer.is_withheld  # so that nobody draws the position as that of a robot that is known
     assert answer.reason == fit.sentence
     assert answer.reason.startswith("the calibration does not fit")
 
@@ -77,7 +78,9 @@ def test_an_answer_that_is_sure_of_nothing_keeps_its_reason() -> None:
     tracker = PlaceTracker([make_map()], make_map().navigation.calibration)
     before = tracker.answer(SECOND)
     tracker.on_calibration_fit(focal_fit(0.97))
-    assert tracker.answer(SECOND).reason == before.reason and before.state != "known"
+    after = tracker.answer(SECOND)
+    assert after.reason == before.reason and before.state != "known"
+    assert after.is_withheld and not before.is_withheld
 
 
 def test_the_place_is_known_again_once_the_calibration_fits() -> None:
@@ -85,7 +88,7 @@ def test_the_place_is_known_again_once_the_calibration_fits() -> None:
     tracker.on_calibration_fit(focal_fit(0.97))
     assert tracker.answer(SECOND).state == "unknown"
     tracker.on_calibration_fit(focal_fit(0.995))
-    assert tracker.answer(SECOND).state == "known"
+    assert tracker.answer(SECOND).state == "known" and not tracker.answer(SECOND).is_withheld
 
 
 @pytest.mark.parametrize(("scale", "is_corrected"), [(0.975, False), (0.97, True)])

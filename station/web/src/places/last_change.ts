@@ -1,0 +1,102 @@
+// What can be taken back: the newest change of places or rooms, and the one that is just being made.
+import { ApiError, call } from "../link/api";
+import type { PlacesChangeModel } from "../link/messages";
+import { Refresh } from "../link/refresh";
+import { by, setText, show } from "../ui/dom";
+import { attempt, toast } from "../ui/toast";
+
+/** A change that this page is making. */
+interface Making {
+  isUnwanted: boolean; // Undo was pressed before it was made
+}
+
+export class LastChange {
+  private map: string | null = null;
+  private newest: PlacesChangeModel | null = null;
+  private making: Making | null = null;
+  private isTakingBack = false;
+  private readonly list = new Refresh(() => this.read());
+
+  constructor() {
+    by("undo-places").addEventListener("click", () => this.press());
+  }
+
+  /** The map in use is another one, or changed; null: there is none. */
+  showMap(id: string | null): Promise<void> {
+    this.map = id;
+    return this.list.ask();
+  }
+
+  /** Make a change, and offer for a while to take just that back. Undo that is pressed before it is made means it, too. */
+  async make(work: () => Promise<unknown>): Promise<void> {
+    const making: Making = { isUnwanted: false };
+    this.making = making;
+    this.draw();
+    try {
+      await work();
+      await this.list.ask();
+    } finally {
+      if (this.making === making) this.making = null;
+      this.draw();
+    }
+    const made = this.newest;
+    if (!made) return;
+    if (!making.isUnwanted) {
+      toast(`${made.why}.`, { label: "Undo", act: () => this.takeBack(made) });
+      return;
+    }
+    await this.takeBack(made);
+    toast(`Taken back: ${made.why}.`);
+  }
+
+  private press(): void {
+    const { making, newest } = this;
+    if (making) {
+      making.isUnwanted = true;
+      this.draw();
+    } else if (newest) attempt(() => this.takeBack(newest));
+  }
+
+  /** Just this one. A second press, before the list says what is the newest then, does nothing. */
+  private async takeBack(change: PlacesChangeModel): Promise<void> {
+    if (this.isTakingBack) return;
+    this.isTakingBack = true;
+    try {
+      await call("POST", "/places/undo", { version: change.version });
+      await this.list.ask();
+    } catch (error) {
+      if (!(error instanceof ApiError) || error.status !== 409) throw error;
+      await this.list.ask();
+      this.tellWhatCameBetween(change);
+    } finally {
+      this.isTakingBack = false;
+    }
+  }
+
+  /** Somebody else was faster than the list that this page knew. */
+  private tellWhatCameBetween(change: PlacesChangeModel): void {
+    const { newest } = this;
+    if (newest && newest.version > change.version)
+      toast(`Meanwhile: ${newest.why}.`, { label: "Undo", act: () => this.takeBack(newest) });
+    else toast(`It was taken back already: ${change.why}.`);
+  }
+
+  private async read(): Promise<void> {
+    const { map } = this;
+    try {
+      const changes = map === null ? [] : await call<PlacesChangeModel[]>("GET", "/places/changes");
+      if (this.map !== map) return; // of another map, whose event asks again
+      this.newest = changes[0] ?? null;
+      this.draw();
+    } catch (error) {
+      if (this.map === map) throw error; // of a map that is left nobody wants to know
+    }
+  }
+
+  private draw(): void {
+    const { making, newest } = this;
+    show(by("undo"), making !== null || newest !== null);
+    const underWay = making?.isUnwanted ? "taken back as soon as it is made …" : "being made …";
+    setText(by("undo-text"), making ? underWay : (newest?.why ?? ""));
+  }
+}
