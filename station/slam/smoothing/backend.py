@@ -69,6 +69,8 @@ class SmoothingBackend:
         self._keyframes: list[SmoothKeyframe] = []
         self._window: FixedLagWindow | None = None
         self._recaller = Recaller(self._camera, self._config.recall)
+        self._T_filter = np.eye(4)  # of the newest keyframe, in the filter's world
+        self._T_clones: dict[int, FloatArray] = {}  # in the filter, at the newest frame
         self._frames_since = 0
         self._all_still = True
         self._tables: dict[int, LandmarkTable] = {}
@@ -148,11 +150,18 @@ class SmoothingBackend:
             memory.views.begin_anew(memory.keyframes.items)
 
     def _since_keyframe(self, state: FilterState) -> FloatArray:
-        """T_keyframe_now by the filter, both poses as it has them now; while the keyframe is still in its window."""
+        """T_keyframe_now by the filter, both poses as it has them now.
+
+        A keyframe whose clone has left its window moves with the newest clone that was there beside it.
+        """
         assert self._window is not None
-        at = np.flatnonzero(state.clone_frame == self._window.keyframes[-1].source.frame.index)
-        if len(at):
-            self._T_filter = se3(state.clone_R[at[0]], state.clone_x[at[0]])
+        now = {int(f): se3(R, x) for f, R, x in zip(state.clone_frame, state.clone_R, state.clone_x, strict=True)}
+        keyframe = self._window.keyframes[-1].source.frame.index
+        if keyframe in now:
+            self._T_filter = now[keyframe]
+        elif (beside := max(now.keys() & self._T_clones.keys(), default=None)) is not None:
+            self._T_filter = now[beside] @ inverse(self._T_clones[beside]) @ self._T_filter
+        self._T_clones = now
         return inverse(self._T_filter) @ state.T_world_body
 
     # ---- keyframes
