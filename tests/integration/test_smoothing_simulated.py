@@ -171,6 +171,31 @@ def test_the_odometry_knows_nothing_of_loops() -> None:
     assert np.array_equal(poses(twice_around(closes=True)[1]), poses(twice_around(closes=False)[1]))
 
 
+def test_idle_moments_spare_frames_the_window_and_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    solve, in_frame, solved = FixedLagWindow.solve, False, list[bool]()
+
+    def watched(window: FixedLagWindow) -> bool:
+        solved.append(in_frame)
+        return solve(window)
+
+    monkeypatch.setattr(FixedLagWindow, "solve", watched)
+    ways = list[FloatArray]()
+    for is_idle in (False, True):
+        backend, way = SmoothingBackend(CALIBRATION), list[SlamUpdate]()
+        in_frame = True
+        solved.clear()
+        for update in feed(backend, drive(ShortDrive(end_s=4.0))):
+            way.append(update)
+            in_frame = not is_idle
+            while is_idle and backend.catch_up():
+                pass
+            in_frame = True
+        assert len(solved) > 5 and all(solved) != is_idle
+        ways.append(poses(way))
+    assert sum(solved) < 3  # of the first frames, which are keyframes at once
+    assert np.array_equal(ways[0], ways[1])
+
+
 def chosen(backend: SmoothingBackend) -> list[int]:
     """Frame indices of its views."""
     return cast(MapViews, backend._odometry.memory.views).chosen_after(-1)
