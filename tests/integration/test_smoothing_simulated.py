@@ -115,8 +115,8 @@ def test_a_spoilt_image_and_new_points_keep_to_the_smoothed_way(monkeypatch: pyt
         return of_filter[-1]
 
     monkeypatch.setattr(UkfBackend, "add_frame", watched)
-    _, updates = run("smoothing", ShortDrive(end_s=4.5, spoilt_image=45))
-    before, spoilt, of_filter_spoilt = poses([updates[44], updates[45], of_filter[45]])
+    _, updates = run("smoothing", ShortDrive(end_s=4.5, spoilt_image=46))
+    before, spoilt, of_filter_spoilt = poses([updates[45], updates[46], of_filter[46]])
     assert np.array_equal(before, spoilt)
     assert np.abs(spoilt - of_filter_spoilt).max() > 1e-4  # else nothing is told apart
     followed = [k for k, update in enumerate(of_filter) if update.T_world_body is not None]
