@@ -69,6 +69,8 @@ class SmoothingBackend:
         self._keyframes: list[SmoothKeyframe] = []
         self._window: FixedLagWindow | None = None
         self._recaller = Recaller(self._camera, self._config.recall)
+        self._T_filter = np.eye(4)  # of the newest keyframe, in the filter's world
+        self._T_clones: dict[int, FloatArray] = {}  # in the filter, at the newest frame
         self._frames_since = 0
         self._all_still = True
         self._tables: dict[int, LandmarkTable] = {}
@@ -93,8 +95,10 @@ class SmoothingBackend:
     def add_frame(self, frame: ImageFrame) -> SlamUpdate:
         """Follow the frame by the filter; make it a keyframe where it is one; carry the newest keyframe on to it.
 
-        And look a step further for what its views show again.
+        And look a step further for what its views show again. What the keyframe before changes is solved for first,
+        unless an idle moment has done so: its own frame did not wait for it.
         """
+        self._solve()
         update = self._odometry.add_frame(frame)
         state, current = self._odometry.state, self._odometry.newest
         if current is not None and current.head is not None and not self._head_turned:
@@ -133,6 +137,7 @@ class SmoothingBackend:
             self._add_keyframe(state, current)
 
     def _end_window(self) -> None:
+        self._solve()
         self._num_closed += 0 if self._closer is None else len(self._closer.closed)
         self._window, self._closer, self._not_yet_views = None, None, []
         self._odometry.imu_needed_since_ns = None
@@ -148,11 +153,18 @@ class SmoothingBackend:
             memory.views.begin_anew(memory.keyframes.items)
 
     def _since_keyframe(self, state: FilterState) -> FloatArray:
-        """T_keyframe_now by the filter, both poses as it has them now; while the keyframe is still in its window."""
+        """T_keyframe_now by the filter, both poses as it has them now.
+
+        A keyframe whose clone has left its window moves with the newest clone that was there beside it.
+        """
         assert self._window is not None
-        at = np.flatnonzero(state.clone_frame == self._window.keyframes[-1].source.frame.index)
-        if len(at):
-            self._T_filter = se3(state.clone_R[at[0]], state.clone_x[at[0]])
+        now = {int(f): se3(R, x) for f, R, x in zip(state.clone_frame, state.clone_R, state.clone_x, strict=True)}
+        keyframe = self._window.keyframes[-1].source.frame.index
+        if keyframe in now:
+            self._T_filter = now[keyframe]
+        elif (beside := max(now.keys() & self._T_clones.keys(), default=None)) is not None:
+            self._T_filter = now[beside] @ inverse(self._T_clones[beside]) @ self._T_filter
+        self._T_clones = now
         return inverse(self._T_filter) @ state.T_world_body
 
     # ---- keyframes
@@ -170,6 +182,7 @@ class SmoothingBackend:
             i = at_clone.get(index)
             if i is None or (last_ns is not None and item.t_imu_ns - last_ns < self._config.min_interval_s * 1e9):
                 continue
+            self._solve()
             last_ns = item.t_imu_ns
             T = se3(state.clone_R[i], state.clone_x[i])
             self._all_still = item.is_still
@@ -283,11 +296,18 @@ class SmoothingBackend:
 
     def _append(self, keyframe: SmoothKeyframe, image: ImageArray) -> None:
         assert self._window is not None
-        self._restarts += not self._window.add(keyframe, image)
+        self._window.add(keyframe, image)
         self._keyframes.append(keyframe)
         self._choose_view(keyframe)
         self._odometry.imu_needed_since_ns = keyframe.source.t_imu_ns  # the next one is linked to this one
         self._frames_since, self._all_still = 0, True
+
+    def _solve(self) -> bool:
+        """Solve for what the newest keyframe changes; False where that was done."""
+        if self._window is None or self._window.is_solved:
+            return False
+        self._restarts += not self._window.solve()
+        return True
 
     def _choose_view(self, keyframe: SmoothKeyframe) -> None:
         """Where loops are closed a keyframe may be a view at once; the filter would have it wait in its window."""
@@ -304,6 +324,8 @@ class SmoothingBackend:
     # ---- the rest of the interface
 
     def catch_up(self) -> bool:
+        if self._solve():
+            return True
         if self._closer is not None:
             with self._odometry.one_thread():
                 if self._closer.look_ahead():

@@ -41,6 +41,8 @@ class SmoothingConfig:
     max_depth_sigma: float = 0.25  # relative; of a track that becomes a landmark
     min_views: int = 3
     sigma_landmark_share: float = 0.5  # weak prior by depth, without which a landmark seen from afar is indeterminate
+    # It counts what a landmark's views say of its depth twice. Wheels tell the scale; landmarks must not hold it.
+    sigma_landmark_share_wheels: float = 100.0
     sigma_recalled_m: float = 0.02  # of a landmark found again after it had left the window, besides its own
     # Off: frames take up to 0.1 s longer, and what is believed comes too late to help (decision 35).
     closes_loops: bool = False
@@ -49,4 +51,5 @@ class SmoothingConfig:
     def for_robot(self, has_wheels: bool) -> SmoothingConfig:
         """What the filter takes for the noise of this robot's pictures is theirs here, too."""
         odometry = self.odometry.for_robot(has_wheels)
-        return replace(self, odometry=odometry, sigma_px=odometry.filter.sigma_px)
+        share = self.sigma_landmark_share_wheels if has_wheels else self.sigma_landmark_share
+        return replace(self, odometry=odometry, sigma_px=odometry.filter.sigma_px, sigma_landmark_share=share)

@@ -65,6 +65,7 @@ class FixedLagWindow:
         self.keyframes: list[SmoothKeyframe] = []
         self._keys: dict[int, int] = {}  # landmark number: its key's number while it is in the window
         self._next_key = 0
+        self._change: _Change | None = None  # by the newest keyframe, until it is solved for
         self._smoother = self._new_smoother()
 
     @property
@@ -79,16 +80,27 @@ class FixedLagWindow:
         parameters.setRelinearizeThreshold(RELINEARISE_ABOVE)
         return gtsam.IncrementalFixedLagSmoother(self._config.lag_s, parameters)
 
-    def add(self, keyframe: SmoothKeyframe, grey: np.ndarray[tuple[int, int], np.dtype[np.uint8]]) -> bool:
-        """Take a keyframe in; it and those of the window get their newest estimate.
-
-        False where the equations have no single solution: the window begins anew with this keyframe.
-        """
+    def add(self, keyframe: SmoothKeyframe, grey: np.ndarray[tuple[int, int], np.dtype[np.uint8]]) -> None:
+        """Take a keyframe in where it was predicted; `solve` says where it is."""
         change = _Change()
         self._add_motion(change, keyframe)
         self.keyframes.append(keyframe)
         self._add_views(change, keyframe)
         self._add_new_landmarks(change, keyframe, grey)
+        self._change = change
+
+    @property
+    def is_solved(self) -> bool:
+        return self._change is None
+
+    def solve(self) -> bool:
+        """Give the newest keyframe and those of the window their newest estimate.
+
+        False where the equations have no single solution: the window begins anew with this keyframe.
+        """
+        change, self._change = self._change, None
+        if change is None:
+            return True
         try:
             self._smoother.update(change.graph, change.values, change.times)
         except RuntimeError:  # GTSAM's: the equations are indeterminate
