@@ -36,7 +36,7 @@ from station.places.making.build import build_map
 from station.places.making.config import PlacesConfig, PlacesMode
 from station.places.making.repeatability import repeatability
 from station.places.naming.suggest import plate_names, sticker_names
-from station.places.rooms.planning import planned, with_suggestions_of
+from station.places.rooms.planning import planned, with_plan, with_suggestions_of
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
 from station.vision.printed import can_read_print
@@ -83,8 +83,14 @@ class LibraryJobs(LibraryProgram):
             found += _plates_of(earlier)
         place_map = replace(place_map, suggestions=found)
         self._emit(Progress(0.8, f"saving {_count(len(draft.places), 'place')}"))
-        # That took long: what people did to places and rooms meanwhile is taken over, too.
-        place_map = store.rebuild(place_map, first, _taking_over, f"built from {place_map.navigation.id}"[:200])
+
+        def taking_over(built: PlaceMap, newest: PlaceMap | None) -> PlaceMap:
+            """That took long: what people did to places and rooms meanwhile is taken over, too."""
+            if newest is None and earlier is None and draft.plan is not None:
+                return with_plan(replace(draft, plan=None, suggestions=built.suggestions), draft.plan)
+            return _taking_over(built, newest)
+
+        place_map = store.rebuild(place_map, first, taking_over, f"built from {place_map.navigation.id}"[:200])
         self._built = place_map
         with contextlib.suppress(DataError):  # the map is there
             tidy_up(store)
