@@ -72,7 +72,9 @@ def make_room(seed: int, calibration: Calibration) -> Room:
     assert calibration.camera is not None
     renderer = Renderer(world, calibration.camera, default_cache_dir())
     place_map = map_truly(renderer, calibration, seed)
-    described = describe_keyframes(place_map, partial(extract_encoded, extractor=FeatureExtractor()))
+    described = describe_keyframes(
+        place_map, partial(extract_encoded, extractor=FeatureExtractor(up_deg=calibration.up_in_image_deg))
+    )
     keyframes = place_map.navigation.keyframes
     kept = np.unique(np.linspace(0, len(keyframes) - 1, KEYFRAMES_PER_ROOM).round().astype(int))
     landmarks = place_map.navigation.landmarks
@@ -220,7 +222,7 @@ def measure(rooms: list[Room], count: int, answers: int, calibration: Calibratio
     estimator = CurrentPlaceEstimator([place_map], calibration)
     centroids = np.array([place.centroid_map for place in place_map.places])
     rng = np.random.default_rng(count)
-    asked = Asked(localizer, estimator, calibration, FeatureExtractor())
+    asked = Asked(localizer, estimator, calibration, FeatureExtractor(up_deg=calibration.up_in_image_deg))
     wall, cpu, index_ms, states, named, recognised = [], [], [], [], [], []
     t_ns = START_NS
     for visit in range(max(1, answers // VISIT)):
@@ -290,7 +292,7 @@ class Asked:
         assert self.calibration.camera is not None
         seen = self.extractor.extract(frame.grey())
         features = Features(seen.uv_px, shuffled(seen.descriptors, copy))
-        attempt = self.localizer.attempt_features(features, t_ns, self.calibration.camera)
+        attempt = self.localizer.attempt_features([features], t_ns, self.calibration.camera)
         if attempt.candidates:
             self.estimator.on_candidates(attempt.candidates, t_ns)
         else:

@@ -142,5 +142,5 @@ SUITE = (
     Benchmark("flips", KEPT, "bench_flips", "--flips 1000", "--flips 10"),
     Benchmark("replay", KEPT, "bench_replay", "", None),
     Benchmark("days_made_up", KEPT, "bench_days", "--made-up 30 --first 200", "--made-up 1"),
-    Benchmark("days", KEPT, "bench_days", "--flats 1-3", None),
+    Benchmark("days", KEPT, "bench_days", "--flats 1-3 --backend ukf --fps 20", None),
 )  # fmt: skip

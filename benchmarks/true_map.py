@@ -30,7 +30,7 @@ def map_truly(renderer: Renderer, calibration: Calibration, seed: int, max_s: fl
     assert camera is not None
     plan = Plan("mapping", plan_route(world, "mapping", seed), None, max_s)
     robot = SimulatedRobot(renderer, calibration, SimulationConfig(), plan, seed)
-    extractor, rays = FeatureExtractor(), unproject_pixels(camera)
+    extractor, rays = FeatureExtractor(up_deg=calibration.up_in_image_deg), unproject_pixels(camera)
     rng = np.random.default_rng(seed)
     T_body_cam = camera.T_body_cam_matrix
     poses: list[FloatArray] = []

@@ -64,7 +64,8 @@ class StationClient:
         self.caller = caller
         self.station_name = ""
         self.knows_calibration_changed = False
-        self.address = str((writer.get_extra_info("peername") or ("?",))[0])
+        self._peer = writer.get_extra_info("peername") or ("?", 0)  # asyncio forgets it when TLS ends
+        self.address = str(self._peer[0])
         self.challenge = b""  # what this connection must answer; empty: no access control
         self.role: Role | None = None  # None: who it is is not known yet
         self.token_id = ""
@@ -139,11 +140,11 @@ class StationClient:
         on_message: Callable[[StationDatagram, int], None],
     ) -> None:
         """Pictures may go to this port of the station's from now on, commands come. Once, after it has joined."""
-        peer, video, tasks = self._writer.get_extra_info("peername"), self.video, self._tasks
+        video, tasks = self.video, self._tasks
         if video is None or tasks is None:
             return
         self.put(told)
-        address = (peer[0], port, *peer[2:])
+        address = (self._peer[0], port, *self._peer[2:])
         self.datagrams = DatagramSender(
             told, address, video, self.meter, send, self.put, on_message, self._now_ns, self._clock
         )

@@ -28,6 +28,7 @@ FOCAL_SIDES = (0.05, 50.0)  # focal length over the picture's longer side
 MAX_PIXEL_ASPECT = 4.0  # fx over fy, or fy over fx
 MAX_DISTORTION = 1000.0
 MAX_LEVER_M = 10.0  # camera or head from the IMU
+LEAST_UPRIGHT = 0.5  # sine of the angle between looking straight up or down and where a camera looks
 MAX_SKEW = 1e-3  # of a rotation's rows from unit length and right angles
 MAX_NOISE = 10.0  # of a gyroscope's or accelerometer's densities and walks, SI units
 MAX_SCALE, MAX_MISALIGNMENT_RAD = 2.0, 0.5  # of an accelerometer; more is a mistake of units
@@ -307,6 +308,20 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
     def has_wheels(self) -> bool:
         """Whether it stands upright on driven wheels, so that drive commands and a level floor tell how it moves."""
         return self.rig == "wheels" or (self.rig == "unknown" and self.robot_kind == "sentinel")
+
+    @property
+    def up_in_image_deg(self) -> float | None:
+        """Which way is up in its images, clockwise from their upper edge, to a quarter turn; None: any way.
+
+        A robot on wheels stands upright, so its camera's mounting tells. A quarter turn: a mounting that is corrected
+        by a degree does not change what is up.
+        """
+        if self.camera is None or not self.has_wheels:
+            return None
+        up_cam = self.camera.T_body_cam_matrix[2, :3]  # z of the body, x right and y down in the image
+        if np.hypot(up_cam[0], up_cam[1]) < LEAST_UPRIGHT:
+            return None  # it looks at the floor or the ceiling, where up is no direction
+        return float(np.round(np.degrees(np.arctan2(up_cam[0], -up_cam[1])) / 90.0) * 90.0 % 360.0)
 
 
 # Thesis eqs. 3.2-3.5. The printed rotation has 4 digits; the nearest true rotation is used.

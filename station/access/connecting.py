@@ -32,6 +32,7 @@ class Connection:
 
     reader: asyncio.StreamReader
     writer: asyncio.StreamWriter
+    peer: tuple[Any, ...]  # address and port, as sockets have them; asyncio forgets them when TLS ends
     fingerprint: bytes = b""  # of its certificate; empty: no TLS
     token: Token | None = None  # what this station joins with
     heard: bytes = b""  # what the robot has said already
@@ -39,7 +40,7 @@ class Connection:
     @property
     def is_loopback(self) -> bool:
         """Whether the robot's program runs on this machine."""
-        return is_loopback(self.writer.get_extra_info("peername")[0])
+        return is_loopback(str(self.peer[0]))
 
 
 def in_words(error: BaseException, address: str) -> str:
@@ -121,8 +122,8 @@ async def _open(host: str, port: int, needs_tls: Callable[[str], bool]) -> Conne
             raise
         try:
             if needs_tls(str(address[0])):
-                return await _shake_hands(connection, show_address(host, port), str(address[0]))
-            return Connection(*await _streams(connection))
+                return await _shake_hands(connection, show_address(host, port), address)
+            return Connection(*await _streams(connection), address)
         except OSError as exc:
             error = exc
     raise error or OSError("no address found")
@@ -164,7 +165,7 @@ async def _streams(connection: socket.socket, **tls: Any) -> tuple[asyncio.Strea
     return reader, asyncio.StreamWriter(transport, protocol, reader, loop)
 
 
-async def _shake_hands(connection: socket.socket, name: str, address: str) -> Connection:
+async def _shake_hands(connection: socket.socket, name: str, peer: tuple[Any, ...]) -> Connection:
     try:
         reader, writer = await _streams(
             connection, ssl=pinning_context(), server_hostname="", ssl_handshake_timeout=HANDSHAKE_WITHIN_S
@@ -173,10 +174,10 @@ async def _shake_hands(connection: socket.socket, name: str, address: str) -> Co
         raise TimeoutError(str(exc)) from exc
     except (ssl.SSLError, ConnectionResetError) as exc:
         remedy = "run `robot-server access init` on the robot"
-        if is_loopback(address):
+        if is_loopback(str(peer[0])):
             remedy = "on loopback it needs no pairing, or `[access] folder` in its TOML file"
         raise ConnectionRefused(
             f"{name} does not speak TLS ({exc}); robot-server there has no access control: {remedy} (docs/access.md)"
         ) from exc
     der = writer.get_extra_info("ssl_object").getpeercert(binary_form=True)
-    return Connection(reader, writer, fingerprint_of_der(der or b""))
+    return Connection(reader, writer, peer, fingerprint_of_der(der or b""))

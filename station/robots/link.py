@@ -385,7 +385,7 @@ class RobotLink:
         """For pictures, where a network lies between that may lose packets."""
         if self._connection is None or not hello.datagram_port or self._connection.is_loopback:
             return
-        host, _, *scope = self._connection.writer.get_extra_info("peername")
+        host, _, *scope = self._connection.peer
         robot = (host, hello.datagram_port, *scope)
         try:
             self._datagrams = PictureDatagrams(robot, self._receive_frame, self._clock.add_exchange, self._now_ns)

@@ -1,11 +1,15 @@
 """Local image features: what appearance means here. SIFT as RootSIFT, in bytes.
 
+A descriptor is turned as the gradients of its corner are, or, where the rig says which way is up, as the image is: a
+robot on wheels sees no corner upside down, and what differs by a turn only (the ends of a shelf) is told apart.
 Source: Lowe, IJCV 60(2), 2004; square root of the L1-normalised descriptor: Arandjelovic and Zisserman, CVPR 2012.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -67,9 +71,10 @@ class Details:
 class FeatureExtractor:
     """Detects and describes. Holds the library's detectors, so one per thread."""
 
-    def __init__(self, max_features: int = MAX_FEATURES) -> None:
-        self._first = _Finder(FIRST_LOOK, FIRST_LOOK.contrast, max_features)
-        self._second = _Finder(SECOND_LOOK, SECOND_LOOK.contrast, max_features)
+    def __init__(self, max_features: int = MAX_FEATURES, *, up_deg: float | None = None) -> None:
+        """`up_deg`: which way is up in the images (`Calibration.up_in_image_deg`); None: any way."""
+        self._first = _Finder(FIRST_LOOK, FIRST_LOOK.contrast, max_features, up_deg)
+        self._second = _Finder(SECOND_LOOK, SECOND_LOOK.contrast, max_features, up_deg)
 
     def extract(self, grey: ImageArray) -> Features:
         """Features of an image (H, W); none on a featureless one."""
@@ -80,10 +85,10 @@ class FeatureExtractor:
 class DetailExtractor:
     """The same for a map: one look gives what localisation sees in an image, and what else landmarks come from."""
 
-    def __init__(self) -> None:
+    def __init__(self, up_deg: float | None = None) -> None:
         limit = 2 * MAX_DETAILS  # some are found twice
-        self._first = _Finder(FIRST_LOOK, FIRST_LOOK.detail_contrast, limit)
-        self._second = _Finder(SECOND_LOOK, SECOND_LOOK.detail_contrast, limit)
+        self._first = _Finder(FIRST_LOOK, FIRST_LOOK.detail_contrast, limit, up_deg)
+        self._second = _Finder(SECOND_LOOK, SECOND_LOOK.detail_contrast, limit, up_deg)
 
     def extract(self, grey: ImageArray) -> Details:
         details = _details(self._first, grey)
@@ -93,10 +98,12 @@ class DetailExtractor:
 class _Finder:
     """One look at images."""
 
-    def __init__(self, look: Look, contrast: float, max_features: int) -> None:
+    def __init__(self, look: Look, contrast: float, max_features: int, up_deg: float | None) -> None:
         self.look = look
+        self._up_deg, self._max_features = up_deg, max_features
         # Without "precise", features lie a quarter of a pixel too far right and down (blobs at known places).
-        self._sift = cv2.SIFT.create(max_features, LAYERS, contrast, look.edge_ratio, enable_precise_upscale=True)
+        limit = max_features if up_deg is None else 2 * max_features  # of which some are found twice
+        self._sift = cv2.SIFT.create(limit, LAYERS, contrast, look.edge_ratio, enable_precise_upscale=True)
         self._evened = cv2.createCLAHE(EVENED_CLIP, EVENED_TILES) if look.is_evened else None
 
     def find(self, grey: ImageArray) -> tuple[Features, Float32Array]:
@@ -106,7 +113,7 @@ class _Finder:
         seen = grey if scale == 1.0 else cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         if self._evened is not None:
             seen = self._evened.apply(seen)
-        keypoints, raw = self._sift.detectAndCompute(seen, None)
+        keypoints, raw = self._described(seen)
         if raw is None or not len(keypoints):
             return Features(np.zeros((0, 2)), np.zeros((0, 128), dtype=np.uint8)), np.zeros(0, dtype=np.float32)
         uv = (np.array([k.pt for k in keypoints], dtype=np.float64) + 0.5) / scale - 0.5  # pixels' centres stay centres
@@ -115,11 +122,23 @@ class _Finder:
         order = np.lexsort((angle, uv[:, 1], uv[:, 0], -response))
         return Features(uv[order], to_bytes(np.asarray(raw, dtype=np.float32)[order])), response[order]
 
+    def _described(self, seen: npt.NDArray[Any]) -> tuple[Sequence[cv2.KeyPoint], npt.NDArray[Any] | None]:
+        if self._up_deg is None:
+            return self._sift.detectAndCompute(seen, None)
+        # A corner that was found twice, turned two ways, is one.
+        upright = list({(k.pt, k.size): k for k in self._sift.detect(seen, None)}.values())
+        if len(upright) > self._max_features:  # as OpenCV has it: those as strong as the last one are taken, too
+            least = sorted((k.response for k in upright), reverse=True)[self._max_features - 1]
+            upright = [k for k in upright if k.response >= least]
+        for keypoint in upright:
+            keypoint.angle = self._up_deg
+        return self._sift.compute(seen, upright)
+
 
 def _details(finder: _Finder, grey: ImageArray) -> Details:
     found, response = finder.find(grey)
     count = int(np.count_nonzero(response * np.float32(LAYERS) >= np.float32(finder.look.contrast)))
-    if count > MAX_FEATURES:  # as OpenCV has it: those as strong as the last one are taken, too
+    if count > MAX_FEATURES:  # as a FeatureExtractor has it
         count = int(np.count_nonzero(response >= response[MAX_FEATURES - 1]))
     # A corner that was described twice, turned two ways, would become two landmarks.
     _, first = np.unique(found.uv_px, axis=0, return_index=True)

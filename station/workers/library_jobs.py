@@ -257,7 +257,7 @@ class LibraryJobs(LibraryProgram):
 
 def _described(folders: list[Path], navigation: Navigation) -> DescribedPictures | None:
     """What was found in the navigation's pictures while the robot drove; None where that is less than half of them."""
-    pictures = DescribedPictures()
+    pictures = DescribedPictures(navigation.calibration.up_in_image_deg)
     for folder in folders:
         pictures.add(folder / PICTURES)
     encoded = navigation.keyframes.encoded

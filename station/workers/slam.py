@@ -46,6 +46,7 @@ class NavigationSlam(SlamProgram):
         self._backend = make_backend(backend, calibration, seed, threads, intrinsics_known)
         shift_s = camera.middle_row_shift_s if camera else 0.0
         self._sequencer = Sequencer(shift_s, has_imu=calibration.imu is not None)
+        self._pictures = DescribedPictures(calibration.up_in_image_deg)
         self._started_s = time.monotonic()
 
     def add_imu(self, t_robot_ns: Sequence[int], gyro: Vectors, accel: Vectors) -> None:

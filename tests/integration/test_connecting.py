@@ -59,3 +59,19 @@ async def test_an_attempt_given_up_as_its_handshake_ends_is_closed_and_harms_no_
     await until(lambda: process.num_fds() <= before)
     assert not said
     server.close()
+
+
+async def test_a_connection_that_was_cut_still_knows_whose_it_was(tmp_path: Path) -> None:
+    """Asked for the link's state between the cut and its being noticed: by TLS asyncio has forgotten the peer then."""
+
+    async def cut(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.transport.abort()
+
+    context = make_identity(tmp_path, "test", ["127.0.0.1"], 10, NOW).server_context()
+    server = await asyncio.start_server(cut, "127.0.0.1", 0, ssl=context)
+    connection = await connect_by_tls("127.0.0.1", server.sockets[0].getsockname()[1])
+    with contextlib.suppress(OSError):
+        await connection.reader.read()
+    await until(lambda: connection.writer.get_extra_info("peername") is None)
+    assert connection.is_loopback
+    server.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from shared.calibration import Calibration
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, se3, so3_exp
 from station.maps.store import MapStore
 from station.model.frames import ImageFrame
 from station.model.map_store import StoreAddress
@@ -98,6 +99,24 @@ def test_a_view_between_keyframes_is_found_in_the_right_map(localizer: Localizer
 def test_another_wall_is_not_found(localizer: Localizer) -> None:
     attempt = localizer.attempt(frame(picture(3, camera_at(0.0))), CALIBRATION)
     assert attempt.localization is None and attempt.reason
+
+
+def test_a_map_by_wheels_and_one_by_hand_are_both_asked_as_their_pictures_were_described() -> None:
+    T_body_cam = se3(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
+    camera = msgspec.structs.replace(CAMERA, T_body_cam=tuple(T_body_cam.ravel()))
+    on_wheels = Calibration(camera=camera, imu=None, rig="wheels")
+    first, second = make_map("wheels", 1), make_map("hand", 2)
+    first = replace(first, navigation=replace(first.navigation, calibration=on_wheels))
+    both = Localizer([first, second])
+    upside_down = so3_exp(np.array([0.0, 0.0, np.pi]))
+    for calibration in (on_wheels, CALIBRATION):
+        for seed, expected in ((1, first.id), (2, second.id)):
+            found = both.localize(frame(picture(seed, camera_at(0.3))), calibration)
+            assert found is not None and found.map_id == expected
+            assert np.linalg.norm(found.T_map_cam[:3, 3] - [0.3, 0.0, 0.0]) < 0.05
+            turned = both.localize(frame(picture(seed, camera_at(0.3) @ se3(upside_down, np.zeros(3)))), calibration)
+            # On wheels nothing is seen upside down.
+            assert (turned is None) == (expected == first.id)
 
 
 def test_a_dark_image_is_refused_by_name(localizer: Localizer) -> None:

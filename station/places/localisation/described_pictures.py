@@ -43,8 +43,10 @@ DESCRIBED_BY = f"{VERSION} cv2 {cv2.__version__} numpy {np.__version__}"
 class DescribedPictures:
     """Features of encoded pictures. Holds a detector, so one per thread."""
 
-    def __init__(self) -> None:
-        self._extractor = FeatureExtractor()
+    def __init__(self, up_deg: float | None = None) -> None:
+        """`up_deg`: which way is up in the pictures (`Calibration.up_in_image_deg`)."""
+        self._extractor = FeatureExtractor(up_deg=up_deg)
+        self._described_by = f"{DESCRIBED_BY} up {up_deg}"
         self._spill = Spill()
         self._known: dict[bytes, Features] = {}
 
@@ -87,7 +89,7 @@ class DescribedPictures:
             replacing(path, scratch=path.with_name(f".{path.name}")) as file,
             zipfile.ZipFile(file, "w") as archive,
         ):
-            described_by = np.array(DESCRIBED_BY)
+            described_by = np.array(self._described_by)
             _write_array(archive, "described_by", described_by.dtype, (), [described_by])
             digests = (np.frombuffer(digest, np.uint8) for digest in self._known)
             _write_array(archive, "digest", DIGEST.dtype, (len(features), DIGEST.size), digests)
@@ -100,7 +102,7 @@ class DescribedPictures:
         """Take over what `write` wrote; False, and nothing is added, when it is gone, damaged or of another version."""
         try:
             with open_file(path) as file, open_arrays(file) as arrays:
-                if str(arrays.read("described_by")) != DESCRIBED_BY:
+                if str(arrays.read("described_by")) != self._described_by:
                     return False
                 digests = [row.tobytes() for row in arrays.read("digest")]
                 counts: list[int] = arrays.read("count").tolist()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from shared.errors import ConfigError
 from shared.geometry import FloatArray, IntArray, rotation_angle
 from station.model.best_camera import best_camera
 from station.model.calibration_fit import CalibrationFit
-from station.model.frames import ImageFrame
+from station.model.frames import ImageArray, ImageFrame
 from station.model.place_answer import Localization
 from station.model.place_map import PlaceMap
 from station.places.localisation.keyframe_features import KeyframeFeatures, describe_keyframes
@@ -83,10 +84,11 @@ class Localizer:
         """
         self.maps = tuple(maps)
         self.config = config or LocalizerConfig()
-        self._extractor = FeatureExtractor()
+        self._extractors: dict[float | None, FeatureExtractor] = {}  # by which way is up
+        self._is_upright = [_up_in(one) is not None for one in self.maps]
         if index is None:
             if described is None:
-                described = [describe_keyframes(place_map, self._describe) for place_map in self.maps]
+                described = [describe_keyframes(one, partial(self._describe, up_deg=_up_in(one))) for one in self.maps]
             index = [MapIndex.of_keyframes(keyframes) for keyframes in described]
         self.appearances = tuple(one.appearance for one in index)
         self._keyframes: list[_Keyframe] = []
@@ -97,8 +99,19 @@ class Localizer:
             self._keyframes += [_Keyframe(m, k, features, poses[k]) for k, features in enumerate(one.keyframes)]
         self._views = [_Views(self._keyframes, m) for m in range(len(self.maps))]
 
-    def _describe(self, encoded: bytes) -> Features:
-        return extract_encoded(encoded, self._extractor)
+    def _describe(self, encoded: bytes, up_deg: float | None) -> Features:
+        return extract_encoded(encoded, self._extractor(up_deg))
+
+    def _extractor(self, up_deg: float | None) -> FeatureExtractor:
+        if up_deg not in self._extractors:
+            self._extractors[up_deg] = FeatureExtractor(up_deg=up_deg)
+        return self._extractors[up_deg]
+
+    def _features_for_maps(self, grey: ImageArray, calibration: Calibration) -> list[Features]:
+        """Of an image, for each map as its pictures were described: turned as the rig that mapped it knew to turn."""
+        up_deg = {False: None, True: calibration.up_in_image_deg or 0.0}  # by hand a camera is held upright, too
+        by_kind = {kind: self._extractor(up_deg[kind]).extract(grey) for kind in set(self._is_upright)}
+        return [by_kind[kind] for kind in self._is_upright]
 
     def localize(self, frame: ImageFrame, calibration: Calibration) -> Localization | None:
         """A verified pose, or None. Raises DataError for an undecodable image, ConfigError without a camera."""
@@ -112,39 +125,47 @@ class Localizer:
         camera = calibration.camera
         if camera is None:
             raise ConfigError("calibration has no camera; localisation needs one")
-        return self.attempt_features(self._extractor.extract(frame.grey()), frame.t_robot_ns, camera, fit)
+        return self.attempt_features(self._features_for_maps(frame.grey(), calibration), frame.t_robot_ns, camera, fit)
 
     def attempt_features(
-        self, features: Features, t_robot_ns: int, told: CameraCalibration, fit: CalibrationFit | None = None
+        self,
+        features: Sequence[Features],
+        t_robot_ns: int,
+        told: CameraCalibration,
+        fit: CalibrationFit | None = None,
     ) -> Attempt:
-        """As `attempt`, from the features of an image."""
-        n = len(features)
+        """As `attempt`, from the features of an image for each map."""
+        most = max(features, key=len)
+        n = len(most)
         if n < self.config.min_inliers:
-            return _nothing(f"only {n} features in the image: dark, covered, blurred or featureless", features)
-        proposed = [index.query(features.descriptors, self.config.num_proposals) for index in self.appearances]
+            return _nothing(f"only {n} features in the image: dark, covered, blurred or featureless", most)
+        proposed = [
+            index.query(seen.descriptors, self.config.num_proposals)
+            for index, seen in zip(self.appearances, features, strict=True)
+        ]
         if not any(len(images) for images, _ in proposed):
-            return _nothing("nothing in the map resembles the image", features)
+            return _nothing("nothing in the map resembles the image", most)
         cameras = [best_camera(told, one.navigation, fit) for one in self.maps]
         poses = []
         # Similarities by the words of different maps cannot be compared (a small map has few words, which more images
         # share), so that they must not compete for being tried.
         for m, (first, (images, _)) in enumerate(zip(self._first, proposed, strict=True)):
-            rays = to_rays(cameras[m], features.uv_px)
+            rays = to_rays(cameras[m], features[m].uv_px)
             for group in self._groups(first + images):
                 members = [self._keyframes[i].features for i in group]
-                pose = find_pose(m, members, features, rays, cameras[m], self.config.matching)
+                pose = find_pose(m, members, features[m], rays, cameras[m], self.config.matching)
                 if pose is not None:
                     poses.append(pose)
         best_similarity = max(float(similarity[0]) for _, similarity in proposed if len(similarity))
         if not poses:
-            return _nothing("no keyframe that resembles the image agrees with it in space", features, best_similarity)
+            return _nothing("no keyframe that resembles the image agrees with it in space", most, best_similarity)
         poses = self._distinct(poses)
         best_inliers = poses[0].pose.num_inliers
-        objections = [self._objection(pose, features, cameras[pose.map_index]) for pose in poses]
+        objections = [self._objection(pose, features[pose.map_index], cameras[pose.map_index]) for pose in poses]
         verified = [pose for pose, objection in zip(poses, objections, strict=True) if objection is None]
         candidates = tuple(self._answer(pose, n, t_robot_ns) for pose in verified)
         if not candidates:
-            return Attempt(None, (), objections[0] or "", n, best_inliers, best_similarity, features)
+            return Attempt(None, (), objections[0] or "", n, best_inliers, best_similarity, most)
         rival = self._rival(verified[0], poses)
         if rival is None:
             return Attempt(
@@ -154,10 +175,10 @@ class Localizer:
                 n,
                 best_inliers,
                 best_similarity,
-                features,
+                most,
             )
         reason = f"another part of the map fits as well ({rival} against {verified[0].pose.num_inliers} landmarks)"
-        return Attempt(None, candidates, reason, n, best_inliers, best_similarity, features)
+        return Attempt(None, candidates, reason, n, best_inliers, best_similarity, most)
 
     def _groups(self, images: IntArray) -> list[list[int]]:
         """Proposed keyframes of one map by region: each of the best ones with those that share landmarks with it."""
@@ -253,6 +274,10 @@ class Localizer:
             num_features=num_features,
             landmarks=np.unique(found.landmark),
         )
+
+
+def _up_in(place_map: PlaceMap) -> float | None:
+    return place_map.navigation.calibration.up_in_image_deg
 
 
 def _nothing(reason: str, features: Features, similarity: float = 0.0) -> Attempt:

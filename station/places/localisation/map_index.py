@@ -18,7 +18,7 @@ from station.places.localisation.region_pose import MIN_MATCHES
 from station.vision.appearance import AppearanceIndex
 
 Arrays = Mapping[str, npt.NDArray[np.generic]]
-VERSION = 3  # of how described pictures are indexed: count it up when that changes
+VERSION = 4  # of how described pictures are indexed: count it up when that changes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +70,8 @@ def make_index(
 
     `pictures`: what is described already.
     """
-    return MapIndex.of_keyframes(describe_keyframes(place_map, (pictures or DescribedPictures()).describe, on_keyframe))
+    pictures = pictures or DescribedPictures(place_map.navigation.calibration.up_in_image_deg)
+    return MapIndex.of_keyframes(describe_keyframes(place_map, pictures.describe, on_keyframe))
 
 
 def fingerprint(place_map: PlaceMap) -> str:

@@ -89,6 +89,7 @@ class Reporter:
         candidates = [self._place_candidate(int(i), float(found.tie[i])) for i in order]
         # In a map of one place a robot that is lost in it is there, too: but nobody recognised it.
         is_known = is_recognised and bool(len(order)) and found.tie[order[0]] >= self.config.known_from
+        is_known &= not room.one_of_two  # a place is in one of them
         known_in = self._located(int(order[0]))[0] if is_known else room.map_index
         # Where the place is known, its distance is to a position in its own map.
         among = [pair for pair in zip(belief.hypotheses, poses, strict=True) if known_in in (None, pair[0].map_index)]

@@ -93,12 +93,14 @@ class RoomReporter:
         order = order[found.inside[order] > 0]
         candidates = tuple(self._candidate(int(i), float(found.tie[i])) for i in order)
         is_right = found.tie[order] >= self._config.known_from
+        is_between = len(order) > 1 and bool(is_right[1])  # in a doorway both are right
+        two = () if is_between else self._one_of_two(found.recognised)
         # In a map of one room a robot that is lost in it is there, too: but nobody recognised it.
-        if belief.localised <= 0.5 or not len(order) or not is_right[0]:
-            return RoomAnswer(alternatives=candidates, one_of_two=self._one_of_two(found.recognised))
+        if two or belief.localised <= 0.5 or not len(order) or not is_right[0]:
+            return RoomAnswer(alternatives=candidates, one_of_two=two)
         map_index, room = self._located(int(order[0]))
         doorway = None
-        if len(order) > 1 and is_right[1]:
+        if is_between:
             other_map, other = self._located(int(order[1]))
             view, here = self._views[map_index], [pair for pair in drawn if pair[0].map_index == map_index]
             if other_map == map_index and view is not None and here:

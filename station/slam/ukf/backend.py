@@ -377,7 +377,7 @@ class UkfBackend:
         wanted = config.map == "views" or (config.map == "auto" and self._calibration.has_wheels)
         if not wanted or config.landmarks == "thesis":
             return None
-        return MapViews(self._camera.lens, config.views, self._seed)
+        return MapViews(self._camera.lens, config.views, self._seed, self._calibration.up_in_image_deg)
 
     def _update(
         self,

@@ -18,6 +18,7 @@ from shared.calibration import (
     Rig,
 )
 from shared.errors import ConfigError, DataError
+from shared.geometry import se3, so3_exp
 from shared.sensor_yaml import read_imu_noise, read_rig
 
 
@@ -36,6 +37,29 @@ def test_what_carries_the_sensors_is_told_and_else_guessed_by_the_kind_of_robot(
     told = msgspec.structs.replace(REFERENCE_ROBOT, rig=rig)
     assert told.has_wheels is has_wheels
     assert msgspec.json.decode(msgspec.json.encode(told), type=Calibration) == told
+
+
+def mounted(turned_deg: float, pitched_deg: float = 0.0, rig: Rig = "wheels") -> Calibration:
+    """A robot whose camera is turned about its axis, clockwise as it looks, and looks up by `pitched_deg`."""
+    R_forward = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    R_pitched = so3_exp(np.radians([0.0, -pitched_deg, 0.0]))
+    R_turned = so3_exp(np.radians([0.0, 0.0, turned_deg]))
+    T_body_cam = se3(R_pitched @ R_forward @ R_turned, np.array([0.1, 0.0, 0.2]))
+    camera = msgspec.structs.replace(REFERENCE_CAMERA, T_body_cam=tuple(T_body_cam.ravel()))
+    return Calibration(camera=camera, imu=None, rig=rig)
+
+
+@pytest.mark.parametrize(("turned_deg", "up_deg"), [(0, 0), (2, 0), (-3, 0), (90, 270), (-92, 90), (181, 180)])
+def test_a_robot_on_wheels_tells_which_way_is_up_in_its_images(turned_deg: float, up_deg: float) -> None:
+    assert mounted(turned_deg).up_in_image_deg == up_deg
+    assert mounted(turned_deg, pitched_deg=25.0).up_in_image_deg == up_deg
+    assert REFERENCE_ROBOT.up_in_image_deg == 0.0
+
+
+def test_nobody_knows_which_way_is_up_by_hand_or_in_a_view_of_the_ceiling() -> None:
+    assert mounted(0.0, rig="hand-held").up_in_image_deg is None
+    assert mounted(0.0, pitched_deg=80.0).up_in_image_deg is None
+    assert Calibration(camera=None, imu=None, rig="wheels").up_in_image_deg is None
 
 
 def test_a_rig_nobody_heard_of_is_refused_by_its_name(tmp_path: Path) -> None:

@@ -50,10 +50,11 @@ class MapViews:
     somebody has time for it (`describe_next`), and gives the same whenever that is.
     """
 
-    def __init__(self, lens: Lens, config: ViewConfig, seed: int) -> None:
+    def __init__(self, lens: Lens, config: ViewConfig, seed: int, up_deg: float | None = None) -> None:
+        """`up_deg`: which way is up in the pictures (`Calibration.up_in_image_deg`)."""
         self._lens, self._config = lens, config
         self.mapping = MappingConfig(seed=seed)
-        self._extractor = DetailExtractor()
+        self._extractor = DetailExtractor(up_deg)
         self._spacing = 1.0
         self._chosen: deque[Keyframe] = deque()  # that wait to be described
         self._newest: Keyframe | None = None

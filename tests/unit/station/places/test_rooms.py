@@ -11,6 +11,7 @@ from station.model.place_map import PlaceMap
 from station.places.tracking.belief import Belief, Hypothesis
 from station.places.tracking.config import BeliefConfig
 from station.places.tracking.map_view import MapView
+from station.places.tracking.report import Past, Reporter
 from station.places.tracking.room_report import RoomReporter
 from station.places.tracking.room_view import RoomView
 from tests.support.places import SECOND, estimator_of, make_map, pose, seen
@@ -73,6 +74,21 @@ def test_it_is_one_of_two_rooms_only_where_both_were_recognised(
     drawn = [(h, np.repeat(h.T_map_nav[None, :3, 3], 5, axis=0)) for h in hypotheses]
     answer = reporter.answer(Belief(hypotheses, lost=lost, unmapped=unmapped), drawn)
     assert answer.room is None and answer.one_of_two == ()
+
+
+@pytest.mark.parametrize(("other", "is_named"), [(0.15, False), (0.05, True)])
+def test_a_room_and_a_place_are_named_where_no_other_room_was_recognised_to_speak_of(
+    other: float, is_named: bool
+) -> None:
+    """A few pictures of twin rooms tell them apart by chance: 0.85 against 0.15 is no answer."""
+    hypotheses = tuple(
+        Hypothesis(0, pose(x, y), 1.0, 0.1, 0.1, w, 0, 0, 0) for w, x, y in ((1 - other, 0.0, 0.0), (other, 5.0, 0.2))
+    )
+    reporter = Reporter([MapView.of(flat())], BeliefConfig(), seed=0)
+    answer = reporter.answer(Belief(hypotheses, lost=0.0, unmapped=0.0), np.eye(4), SECOND, Past("", True))
+    assert (answer.state == "known") is is_named
+    assert (answer.room is not None and answer.room.id == "room-l") is is_named
+    assert {room.id for room in answer.one_of_two} == (set() if is_named else {"room-l", "room-k"})
 
 
 def test_in_a_doorway_both_rooms_are_right() -> None:

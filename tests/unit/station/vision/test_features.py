@@ -9,7 +9,17 @@ import numpy as np
 import pytest
 
 from station.model.frames import ImageArray
-from station.vision.features import FEW_FEATURES, MAX_DETAILS, MAX_FEATURES, DetailExtractor, FeatureExtractor, Features
+from station.vision.features import (
+    FEW_FEATURES,
+    MAX_DETAILS,
+    MAX_FEATURES,
+    DetailExtractor,
+    FeatureExtractor,
+    Features,
+    similarities,
+    to_floats,
+)
+from station.vision.matching import match_both_ways
 
 
 @pytest.mark.parametrize("width", [320, 640])  # described as it is, and at half its size
@@ -38,11 +48,13 @@ def patches(number: int, contrast: float) -> ImageArray:
     return np.clip(128.0 + noise, 0, 255).astype(np.uint8)
 
 
+@pytest.mark.parametrize("up_deg", [None, 0.0])
 @pytest.mark.parametrize(("contrast", "rich"), [(4.0, False), (14.0, True)])
-def test_details_hold_the_features_bit_for_bit(contrast: float, rich: bool) -> None:
+def test_details_hold_the_features_bit_for_bit(contrast: float, rich: bool, up_deg: float | None) -> None:
     for number in range(3):
         picture = patches(number, contrast)
-        direct, details = FeatureExtractor().extract(picture), DetailExtractor().extract(picture)
+        direct = FeatureExtractor(up_deg=up_deg).extract(picture)
+        details = DetailExtractor(up_deg).extract(picture)
         assert (len(direct) >= MAX_FEATURES) == rich
         assert np.array_equal(direct.uv_px, details.seen.uv_px)
         assert np.array_equal(direct.descriptors, details.seen.descriptors)
@@ -50,6 +62,32 @@ def test_details_hold_the_features_bit_for_bit(contrast: float, rich: bool) -> N
         assert len(places) == len(details.features) == len(details.features.descriptors) <= MAX_DETAILS
         assert {tuple(uv) for uv in direct.uv_px.tolist()} <= places
         assert rich or len(details.features) > 1.2 * len(direct)
+
+
+def test_a_camera_on_its_side_sees_the_same_where_it_is_known_what_is_up() -> None:
+    square = np.ascontiguousarray(patches(6, 14.0)[:, :480])
+    upright = FeatureExtractor(up_deg=0.0).extract(square)
+    turned = FeatureExtractor(up_deg=90.0).extract(np.ascontiguousarray(np.rot90(square, -1)))
+    expected_uv = np.column_stack([479.0 - upright.uv_px[:, 1], upright.uv_px[:, 0]])  # clockwise
+    gap = np.linalg.norm(turned.uv_px[:, None] - expected_uv[None], axis=2)
+    here, there = np.flatnonzero(gap.min(axis=1) < 0.5), gap.argmin(axis=1)
+    assert len(here) > 0.7 * len(upright)
+    alike = np.einsum("ni,ni->n", to_floats(turned.descriptors[here]), to_floats(upright.descriptors[there[here]]))
+    assert np.median(alike) > 0.95
+
+
+def test_an_upright_corner_is_described_once_and_is_another_one_upside_down() -> None:
+    picture = patches(7, 14.0)
+    upright = FeatureExtractor(up_deg=0.0).extract(picture)
+    assert len(np.unique(upright.uv_px, axis=0)) > 0.99 * len(upright)  # one place may hold a large and a small corner
+    any_way = FeatureExtractor().extract(picture)
+    flipped = np.ascontiguousarray(picture[::-1, ::-1])
+    assert pairs_of(any_way, FeatureExtractor().extract(flipped)) > 0.5 * len(any_way)
+    assert pairs_of(upright, FeatureExtractor(up_deg=0.0).extract(flipped)) < 0.05 * len(upright)
+
+
+def pairs_of(one: Features, other: Features) -> int:
+    return len(match_both_ways(similarities(one, other), 0.85))
 
 
 def test_threads_do_not_change_what_is_found() -> None:
