@@ -192,12 +192,14 @@ class Station:
         async def work(worker: JobWorker[LibraryProgram]) -> dict[str, Any]:
             address, executor = self.maps.address, self.config.executor
             order = folders, address, name or title, mode, executor, places
-            built = await worker.call(LibraryProgram.build_map, *order)
-            self.events.changed("map")
-            try:
-                await worker.call(LibraryProgram.index_map, folders, address)
-            except RobotSystemError as exc:  # the map is there; localisation makes what is missing
-                self._without(worker, f"the index of {built.name} is made later", exc)
+            async with self.jobs.beside(worker) as second:
+                second.post(LibraryProgram.prepare_index, folders)
+                built = await worker.call(LibraryProgram.build_map, *order)
+                self.events.changed("map")
+                try:
+                    await second.call(LibraryProgram.index_map, folders, address, built.map_id)
+                except RobotSystemError as exc:  # the map is there; localisation makes what is missing
+                    self._without(worker, f"the index of {built.name} is made later", exc)
             if activate:
                 await self.use_maps(built.map_id)
             try:

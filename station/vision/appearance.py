@@ -21,6 +21,7 @@ DESCRIPTORS_PER_WORD = 12
 MAX_WORDS = 1 << 18
 TRAINING_LIMIT = 200_000  # descriptors; a random sample of larger maps
 LLOYD_ROUNDS = 6
+NEAREST_AT_ONCE = 2048  # rows of scores, which stay in the processor's cache
 AT_ONCE = 1 << 18  # descriptors held as floats: a large map's would take four times its memory
 
 
@@ -90,8 +91,12 @@ def _nearest(x: Float32Array, centres: Float32Array, half_norm: Float32Array | N
     """Index of the nearest centre (k, 128) to each row of x (n, 128)."""
     half_norm = _half_norm(centres) if half_norm is None else half_norm
     out = np.empty(len(x), dtype=np.int64)
-    for start in range(0, len(x), 8192):
-        out[start : start + 8192] = np.argmax(x[start : start + 8192] @ centres.T - half_norm, axis=1)
+    room = np.empty((min(NEAREST_AT_ONCE, len(x)), len(centres)), dtype=np.float32)
+    for start in range(0, len(x), NEAREST_AT_ONCE):
+        rows = x[start : start + NEAREST_AT_ONCE]
+        score = np.matmul(rows, centres.T, out=room[: len(rows)])
+        score -= half_norm
+        np.argmax(score, axis=1, out=out[start : start + len(rows)])
     return out
 
 

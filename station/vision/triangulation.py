@@ -159,10 +159,9 @@ def intersect_rays(
         (num_points, 3) and (num_points,): False where the rays are nearly parallel or the point lies behind.
     """
     A_each = np.eye(3) - rays[:, :, None] * rays[:, None, :]
-    A = np.zeros((num_points, 3, 3))
-    b = np.zeros((num_points, 3))
-    np.add.at(A, point, A_each)
-    np.add.at(b, point, np.einsum("nij,nj->ni", A_each, centres))
+    b_each = np.einsum("nij,nj->ni", A_each, centres)
+    A = _sums(point, A_each.reshape(-1, 9), num_points).reshape(num_points, 3, 3)
+    b = _sums(point, b_each, num_points)
     # The smallest eigenvalue is about the squared parallax: parallel rays leave a direction open.
     count = np.maximum(np.bincount(point, minlength=num_points), 1)
     smallest = np.linalg.eigvalsh(A)[:, 0] / count
@@ -173,3 +172,8 @@ def intersect_rays(
     nearest = np.full(num_points, np.inf)
     np.minimum.at(nearest, point, depth)
     return found, good & (nearest > MIN_DEPTH_M)
+
+
+def _sums(index: IntArray, values: FloatArray, size: int) -> FloatArray:
+    """(size, c) sums of the rows of values (K, c) that share an index."""
+    return np.column_stack([np.bincount(index, column, size) for column in values.T])

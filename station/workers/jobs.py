@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import OrderedDict
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Literal
 
@@ -82,6 +83,26 @@ class Jobs(Generic[ProgramT]):
         """Raises Conflict when enough jobs run."""
         if len(self._running) >= MAX_RUNNING_JOBS:
             raise Conflict(f"{MAX_RUNNING_JOBS} jobs run already; wait for one or cancel it with DELETE /jobs/{{id}}")
+
+    @asynccontextmanager
+    async def beside(self, worker: JobWorker[ProgramT]) -> AsyncIterator[JobWorker[ProgramT]]:
+        """A second worker for what a job can do at the same time; ends with the block, at once where that fails.
+
+        Where there can be none, what it is asked fails as if it had died.
+        """
+        second = Worker(worker.name, self._program, on_event=lambda progress: self._advance(worker.name, progress))
+        try:
+            try:
+                await second.start()
+            except OSError as exc:
+                logger.warning("no second process for %s (%s)", worker.name, exc)
+                second.kill()
+            yield second
+        except BaseException:
+            second.kill()
+            raise
+        finally:
+            await second.close()
 
     async def cancel(self, job_id: str) -> Job:
         """End a running job. Raises Unknown; Conflict for one that was over before it could be cancelled."""

@@ -50,8 +50,12 @@ class LibraryProgram(Program, ABC):
         """Navigation folders -> a map in the store. Places of an earlier map of the first one stay."""
 
     @abstractmethod
-    def index_map(self, folders: list[Path], address: StoreAddress) -> None:
-        """The localisation index of the map that this worker built from these folders, where it costs little."""
+    def prepare_index(self, folders: list[Path]) -> None:
+        """Begin with the localisation index of the map that another worker builds meanwhile, where it costs little."""
+
+    @abstractmethod
+    def index_map(self, folders: list[Path], address: StoreAddress, map_id: str) -> None:
+        """The localisation index of the map that was built from these folders, where it costs little."""
 
     @abstractmethod
     def read_plates(self, address: StoreAddress, map_id: str) -> bool:

@@ -31,12 +31,12 @@ from station.places.joining.growing import keep_places
 from station.places.joining.known_names import names_in
 from station.places.joining.merge import merge_navigations
 from station.places.localisation.described_pictures import DescribedPictures
-from station.places.localisation.index_file import index_of
+from station.places.localisation.index_file import PreparedIndex, index_of
 from station.places.making.build import build_map
 from station.places.making.config import PlacesConfig, PlacesMode
 from station.places.making.repeatability import repeatability
 from station.places.naming.suggest import plate_names, sticker_names
-from station.places.rooms.planning import planned, with_suggestions_of
+from station.places.rooms.planning import planned, with_plan, with_suggestions_of
 from station.slam.backends import make_backend
 from station.slam.run import run_backend
 from station.vision.printed import can_read_print
@@ -44,6 +44,7 @@ from station.workers.calibration_interface import RECORDING, RESIDUALS, RESULT, 
 from station.workers.executors.opening import open_executor
 from station.workers.library_interface import BuiltMap, LibraryProgram, Progress
 from station.workers.mapping import MapOfNavigations, Reconstruction, Recorded, make_map, reconstruct_all
+from station.workers.repeatable import repeatable
 
 MAX_OTHER_MAPS = 3  # that a new one is compared with: its home's is mostly the one changed last; each takes seconds
 
@@ -53,7 +54,7 @@ class LibraryJobs(LibraryProgram):
 
     def __init__(self, emit: Callable[[Progress], None]) -> None:
         self._emit = emit
-        self._built: PlaceMap | None = None
+        self._prepared: PreparedIndex | None = None
 
     def build_map(
         self,
@@ -83,9 +84,14 @@ class LibraryJobs(LibraryProgram):
             found += _plates_of(earlier)
         place_map = replace(place_map, suggestions=found)
         self._emit(Progress(0.8, f"saving {_count(len(draft.places), 'place')}"))
-        # That took long: what people did to places and rooms meanwhile is taken over, too.
-        place_map = store.rebuild(place_map, first, _taking_over, f"built from {place_map.navigation.id}"[:200])
-        self._built = place_map
+
+        def taking_over(built: PlaceMap, newest: PlaceMap | None) -> PlaceMap:
+            """That took long: what people did to places and rooms meanwhile is taken over, too."""
+            if newest is None and earlier is None and draft.plan is not None:
+                return with_plan(replace(draft, plan=None, suggestions=built.suggestions), draft.plan)
+            return _taking_over(built, newest)
+
+        place_map = store.rebuild(place_map, first, taking_over, f"built from {place_map.navigation.id}"[:200])
         with contextlib.suppress(DataError):  # the map is there
             tidy_up(store)
         return BuiltMap(place_map.id, place_map.name, len(place_map.places))
@@ -110,21 +116,25 @@ class LibraryJobs(LibraryProgram):
                 return found
         return ()
 
-    def index_map(self, folders: list[Path], address: StoreAddress) -> None:
-        """The index of the map that was built, where most pictures were described while the robot drove.
+    def prepare_index(self, folders: list[Path]) -> None:
+        if len(folders) > 1:  # how they lie in each other's frames is not known yet
+            return
+        with contextlib.suppress(DataError), repeatable(1):  # who builds the map says so, and has the other core
+            navigation = load_navigation(folders[0])
+            pictures = _described(folders, navigation)
+            self._prepared = None if pictures is None else PreparedIndex.of(navigation, pictures)
+
+    def index_map(self, folders: list[Path], address: StoreAddress, map_id: str) -> None:
+        """Where most pictures were described while the robot drove.
 
         Else that is left to localisation: it can take minutes, and the map can be seen meanwhile.
         """
-        if self._built is None:
-            return
-        pictures = DescribedPictures(self._built.navigation.calibration.up_in_image_deg)
-        for folder in folders:
-            pictures.add(folder / PICTURES)
-        encoded = self._built.navigation.keyframes.encoded
-        if 2 * sum(pictures.knows(picture) for picture in encoded) > len(encoded):
+        place_map = MapStore(address).load(map_id)
+        pictures = _described(folders, place_map.navigation)
+        if pictures is not None:
             self._emit(Progress(0.85, "indexing what its pictures look like"))
             waiting = Progress(0.85, "another map is indexed; this one is next")
-            index_of(address.root, self._built, lambda: None, lambda: self._emit(waiting), pictures)
+            index_of(address.root, place_map, lambda: None, lambda: self._emit(waiting), pictures, self._prepared)
 
     def read_plates(self, address: StoreAddress, map_id: str) -> bool:
         store = MapStore(address)
@@ -243,6 +253,15 @@ class LibraryJobs(LibraryProgram):
         self._emit(Progress(0.95, f"saving {_count(len(navigation.landmarks), 'landmark')}"))
         save_navigation(navigation, folder)
         return navigation.report
+
+
+def _described(folders: list[Path], navigation: Navigation) -> DescribedPictures | None:
+    """What was found in the navigation's pictures while the robot drove; None where that is less than half of them."""
+    pictures = DescribedPictures(navigation.calibration.up_in_image_deg)
+    for folder in folders:
+        pictures.add(folder / PICTURES)
+    encoded = navigation.keyframes.encoded
+    return pictures if 2 * sum(pictures.knows(picture) for picture in encoded) > len(encoded) else None
 
 
 def _of_same_pictures(one: PlaceMap, other: PlaceMap) -> bool:

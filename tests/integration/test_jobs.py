@@ -8,6 +8,7 @@ import os
 import signal
 import time
 from collections.abc import Awaitable, Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,7 +19,7 @@ from station.events import Events
 from station.workers.executors.opening import open_executor
 from station.workers.jobs import Job, Jobs, JobWorker
 from station.workers.library_interface import Progress
-from station.workers.request import Program, ProgramName
+from station.workers.request import Program, ProgramName, WorkerDied
 from station.workers.worker import Worker
 
 STARTS_WITHIN_S = 120.0  # the first process of all waits for its server's imports
@@ -93,6 +94,49 @@ async def test_a_job_that_fails_in_any_way_says_so_and_leaves_room_for_the_next(
         await until(lambda: not jobs._running)
         with pytest.raises(Conflict, match="a test: done; there is nothing left to cancel"):
             await jobs.cancel(done.id)
+    finally:
+        await jobs.close()
+
+
+async def test_a_second_worker_works_beside_the_first_and_both_end_when_the_job_is_cancelled() -> None:
+    jobs = Jobs(Events(), ProgramName.of(Porter))
+    workers: list[JobWorker[Porter]] = []
+
+    async def both(worker: JobWorker[Porter]) -> dict[str, Any]:
+        async with jobs.beside(worker) as second:
+            workers.extend([worker, second])
+            assert await second.call(Porter.double) == [2, 4, 6]
+            second.post(Porter.wait)
+            await worker.call(Porter.wait)
+        raise AssertionError("it was cancelled")
+
+    try:
+        job = jobs.start("test", "a test", both)
+        await until(lambda: jobs.get(job.id).progress)
+        assert (await jobs.cancel(job.id)).state == "cancelled"
+        assert workers[0].pid != workers[1].pid and all(worker.is_ended for worker in workers)
+        for worker in workers:
+            assert not Path(f"/proc/{worker.pid}").exists()
+    finally:
+        await jobs.close()
+
+
+async def test_a_job_goes_on_where_the_system_has_no_second_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    jobs = Jobs(Events(), ProgramName.of(Porter))
+
+    async def refuse(_: object) -> None:
+        raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
+
+    async def both(worker: JobWorker[Porter]) -> dict[str, Any]:
+        monkeypatch.setattr(Worker, "start", refuse)
+        async with jobs.beside(worker) as second:
+            second.post(Porter.double)
+            with pytest.raises(WorkerDied):
+                await second.call(Porter.double)
+            return {"doubled": await worker.call(Porter.double)}
+
+    try:
+        assert (await run(jobs, both)).result == {"doubled": [2, 4, 6]}
     finally:
         await jobs.close()
 

@@ -16,6 +16,7 @@ from station.model.frames import ImageFrame
 from station.model.map_store import StoreAddress
 from station.model.navigation import Navigation
 from station.model.place_map import PlaceMap
+from station.places.localisation import index_file
 from station.places.localisation.described_pictures import DescribedPictures
 from station.places.localisation.index_path import FOLDER, SUFFIX
 from station.places.localisation.localizer import Localizer
@@ -98,12 +99,18 @@ def test_what_was_described_ahead_gives_the_same_index_bit_for_bit() -> None:
     assert all(np.array_equal(direct[name], prepared[name]) for name in direct)
 
 
-def test_localisation_describes_nothing_after_such_a_drive_and_answers_the_same(tmp_path: Path) -> None:
+@pytest.mark.parametrize("is_prepared", [False, True])
+def test_localisation_describes_nothing_after_such_a_drive_and_answers_the_same(
+    tmp_path: Path, is_prepared: bool
+) -> None:
     folder, address = tmp_path / "drive" / "navigation", StoreAddress(tmp_path / "maps")
     follow(folder, 5)
     job = LibraryJobs(lambda told: None)
     built = job.build_map([folder], address, "wall", None)
-    job.index_map([folder], address)
+    beside = LibraryJobs(lambda told: None)
+    if is_prepared:
+        beside.prepare_index([folder])
+    beside.index_map([folder], address, built.map_id)
     assert (address.root / FOLDER / f"{built.map_id}{SUFFIX}").exists()
     told: list[PlaceEvent] = []
     finder = PlaceFinder(told.append)
@@ -118,6 +125,23 @@ def test_localisation_describes_nothing_after_such_a_drive_and_answers_the_same(
         assert report.T_map_cam.tobytes() == direct.T_map_cam.tobytes()
 
 
+def test_an_index_is_prepared_while_the_map_is_built_bit_for_bit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, address = tmp_path / "drive" / "navigation", StoreAddress(tmp_path / "maps")
+    follow(folder, 5)
+    built = LibraryJobs(lambda told: None).build_map([folder], address, "wall", None)
+    path = address.root / FOLDER / f"{built.map_id}{SUFFIX}"
+    LibraryJobs(lambda told: None).index_map([folder], address, built.map_id)
+    afterwards = path.read_bytes()
+    path.unlink()
+    beside = LibraryJobs(lambda told: None)
+    beside.prepare_index([folder])
+    monkeypatch.setattr(index_file, "make_index", None)  # nothing is left to do
+    beside.index_map([folder], address, built.map_id)
+    assert path.read_bytes() == afterwards
+
+
 @pytest.mark.parametrize(("frames", "is_damaged"), [(5, True), (4, False)])  # four: of seven pictures three are known
 def test_where_little_was_described_ahead_the_map_does_not_wait_for_it(
     tmp_path: Path, frames: int, is_damaged: bool
@@ -128,5 +152,7 @@ def test_where_little_was_described_ahead_the_map_does_not_wait_for_it(
         (folder / PICTURES).write_bytes(b"damaged")
     job = LibraryJobs(lambda told: None)
     built = job.build_map([folder], address, "wall", None)
-    job.index_map([folder], address)
+    beside = LibraryJobs(lambda told: None)
+    beside.prepare_index([folder])
+    beside.index_map([folder], address, built.map_id)
     assert not (address.root / FOLDER / f"{built.map_id}{SUFFIX}").exists()

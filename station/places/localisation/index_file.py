@@ -12,6 +12,7 @@ import logging
 import mmap
 import os
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
@@ -21,6 +22,7 @@ import numpy.typing as npt
 
 from shared.disk import lock, replacing
 from station.config import MAX_ACTIVE_MAPS
+from station.model.navigation import Navigation
 from station.model.place_map import PlaceMap
 from station.places.localisation.described_pictures import DescribedPictures
 from station.places.localisation.index_path import SUFFIX, index_path
@@ -50,18 +52,38 @@ class _Head(msgspec.Struct, frozen=True):
     parts: tuple[_Part, ...]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedIndex:
+    """Of a navigation that is to become a map."""
+
+    fingerprint: str
+    index: MapIndex
+
+    @classmethod
+    def of(cls, navigation: Navigation, pictures: DescribedPictures) -> PreparedIndex:
+        place_map = PlaceMap("", "", navigation, (), (), {})  # an index knows of no places
+        return cls(fingerprint(place_map), make_index(place_map, pictures=pictures))
+
+
 def index_of(
     root: Path,
     place_map: PlaceMap,
     on_keyframe: Callable[[], None],
     on_wait: Callable[[], None],
     pictures: DescribedPictures | None = None,
+    prepared: PreparedIndex | None = None,
 ) -> MapIndex:
     """The index of a map of the store at `root`: the one that is kept, or made now.
 
     `on_keyframe` is called before each picture that is described, `on_wait` when another process does that already;
-    `pictures`: what is described already.
+    `pictures`: what is described already; `prepared`: an index that may be of this map.
     """
+
+    def make() -> MapIndex:
+        if prepared is not None and prepared.fingerprint == wanted:
+            return prepared.index
+        return make_index(place_map, on_keyframe, pictures)
+
     wanted = fingerprint(place_map)
     path = index_path(root, place_map.id)
     if (kept := _read(path, wanted)) is not None:
@@ -71,12 +93,12 @@ def index_of(
         lock_file = (path.parent / LOCK).open("ab")
     except OSError as exc:
         logger.warning("%s cannot be written (%s); each robot makes its own index", path.parent, exc.strerror)
-        return make_index(place_map, on_keyframe, pictures)
+        return make()
     with lock_file:
         _wait_for(lock_file, on_wait)
         if (kept := _read(path, wanted)) is not None:  # made while we waited
             return kept
-        made = make_index(place_map, on_keyframe, pictures)
+        made = make()
         try:
             _write(path, wanted, made)
         except OSError as exc:

@@ -16,6 +16,7 @@ from station.model.place_map import Place, PlaceMap
 
 WIDTH = 160  # px; mean and deviation are blurred by nature, and memory is (places x pixels)
 MAX_IMAGES = 64  # per place, evenly spread: more do not change a mean image
+MAX_KEPT = 500  # small images in memory: 30 MB
 MIN_SHARE = 0.5  # of the keyframe that sees most of a place's landmarks; below it the place is at the image's edge
 
 
@@ -69,7 +70,7 @@ def keyframes_shown(place_map: PlaceMap, place: Place) -> IntArray:
 
 
 def make_place_images(keyframes: Keyframes, chosen: Mapping[str, IntArray]) -> dict[str, PlaceImages]:
-    """Images of every place, decoding each keyframe twice and keeping none: memory is places x one small image.
+    """Images of every place. Few images are kept for the second look at them; of more, each is decoded twice.
 
     `chosen`: the keyframes (k,) that each place is seen in.
 
@@ -81,10 +82,14 @@ def make_place_images(keyframes: Keyframes, chosen: Mapping[str, IntArray]) -> d
     total = {place: np.zeros((*shape, 3)) for place in chosen}
     squares = {place: np.zeros(shape) for place in chosen}
     count = dict.fromkeys(chosen, 0)
+    kept: dict[int, npt.NDArray[np.uint8]] = {}
     for k in wanted:
-        image = _small_image(keyframes.encoded[k], shape)
-        if image is None:
+        small = _small_image(keyframes.encoded[k], shape)
+        if small is None:
             continue
+        if len(kept) < MAX_KEPT:
+            kept[k] = small
+        image = small.astype(np.float64)
         for place in places_of[k]:
             total[place] += image
             squares[place] += _brightness(image) ** 2
@@ -92,9 +97,10 @@ def make_place_images(keyframes: Keyframes, chosen: Mapping[str, IntArray]) -> d
     mean = {place: total[place] / max(count[place], 1) for place in chosen}
     nearest: dict[str, tuple[float, int]] = {}
     for k in wanted:
-        image = _small_image(keyframes.encoded[k], shape)
-        if image is None:
+        small = kept[k] if k in kept else _small_image(keyframes.encoded[k], shape)
+        if small is None:
             continue
+        image = small.astype(np.float64)
         for place in places_of[k]:
             difference = float(np.abs(image - mean[place]).mean())  # eq. 4.2
             nearest[place] = min(nearest.get(place, (np.inf, -1)), (difference, k))
@@ -130,11 +136,11 @@ def _common_shape(encoded: Sequence[bytes], wanted: Sequence[int]) -> tuple[int,
     return 1, 1
 
 
-def _small_image(encoded: bytes, shape: tuple[int, int]) -> FloatArray | None:
+def _small_image(encoded: bytes, shape: tuple[int, int]) -> npt.NDArray[np.uint8] | None:
     image = _decode(encoded)
     if image is None:
         return None
-    return cv2.resize(image, (shape[1], shape[0]), interpolation=cv2.INTER_AREA).astype(np.float64)
+    return np.asarray(cv2.resize(image, (shape[1], shape[0]), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def _decode(encoded: bytes) -> npt.NDArray[np.uint8] | None:

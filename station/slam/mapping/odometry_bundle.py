@@ -23,7 +23,9 @@ from shared.errors import DegenerateGeometry
 from shared.geometry import FloatArray, IntArray, skew, so3_exp, transform
 
 HELD_SIGMA = 1e-4  # rad and m: the first pose stays where it is
-MAX_DENSE = 4200  # unknowns of the poses and their motion; beyond, equations are solved as sparse ones
+# Equations are solved as full ones where so few unknowns depend on each other so much: their root would be full.
+MAX_DENSE = 4200  # unknowns of the poses and their motion
+MIN_FILLED = 0.05  # of the entries
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -231,22 +233,32 @@ def _reduce(linear: _Linear, damping: float) -> _Reduced:
     V_inv = np.linalg.inv(V)
     W = linear.W
     WV = bsr_matrix((W.data @ V_inv[W.indices], W.indices, W.indptr), shape=W.shape, blocksize=(6, 3))
-    reduced = WV @ W.T.tobsr(blocksize=(3, 6))
     H = linear.H_motion
     diagonal = np.zeros(H.shape[0])
     diagonal[: 6 * n] = np.einsum("nii->ni", linear.U).ravel()
-    damp = damping * (diagonal + H.diagonal()) + 1e-12
     U = bsr_matrix((linear.U, np.arange(n), np.arange(n + 1)), shape=(6 * n, 6 * n))
-    if H.shape[0] <= MAX_DENSE:
-        S = H.toarray()
-        S[: 6 * n, : 6 * n] += U.toarray() - reduced.toarray()
-        S[np.diag_indices_from(S)] += damp
-        factor = cho_factor(S, check_finite=False)
-        return _Reduced(V_inv, WV, lambda rhs: np.asarray(cho_solve(factor, rhs, check_finite=False)))
-    visual = (U - reduced).tocoo()
-    S_sparse = H + csc_matrix((visual.data, (visual.row, visual.col)), shape=H.shape)
-    S_sparse.setdiag(S_sparse.diagonal() + damp)
-    return _Reduced(V_inv, WV, splu(S_sparse.tocsc()).solve)
+    visual = (U - WV @ W.T.tobsr(blocksize=(3, 6))).tocoo()
+    S = (H + csc_matrix((visual.data, (visual.row, visual.col)), shape=H.shape)).tocsc()
+    S.setdiag(S.diagonal() + damping * (diagonal + H.diagonal()) + 1e-12)
+    return _Reduced(V_inv, WV, factored(S))
+
+
+def factored(S: csc_matrix) -> Callable[[FloatArray], FloatArray]:
+    """What solves symmetric equations. Raises LinAlgError: they are not positive definite.
+
+    A keyframe shares landmarks with few others: of a drive round three rooms, loops closed, 3 % of S are not zero, and
+    6 % of its root.
+    """
+    if S.shape[0] <= MAX_DENSE and S.nnz > MIN_FILLED * S.shape[0] ** 2:
+        factor = cho_factor(S.toarray(order="F"), overwrite_a=True, check_finite=False)
+        return lambda rhs: np.asarray(cho_solve(factor, rhs, check_finite=False))
+    try:  # without pivoting, which symmetric equations need only where they are not positive definite
+        root = splu(S, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except RuntimeError as exc:
+        raise np.linalg.LinAlgError(str(exc)) from exc
+    if not (root.U.diagonal() > 0).all():
+        raise np.linalg.LinAlgError("not positive definite")
+    return root.solve
 
 
 def _step(state: BundleState, linear: _Linear, damping: float) -> BundleState:

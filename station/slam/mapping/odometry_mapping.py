@@ -261,14 +261,19 @@ def triangulate_and_prune(
     T_body_cam = camera.T_body_cam_matrix
     R_cam = state.R_world_body @ T_body_cam[:3, :3]
     centre = state.p_world_body + state.R_world_body @ T_body_cam[:3, 3]
-    current = tracks
-    points = np.empty((0, 3))
+    current, seen = tracks, observations(tracks, rays, camera)
+    points, defined = np.zeros((tracks.num_points, 3)), np.zeros(tracks.num_points, dtype=bool)
+    error = np.zeros(len(seen.xy))
+    changed = tracks.alive(np.ones(len(seen.xy), dtype=bool), 1)  # points that are to be found anew
     for _ in range(3):
-        xy = gather(current, rays)
-        directions = np.einsum("nij,nj->ni", R_cam[current.keyframe], homogeneous(xy))
+        at = changed[current.point]
+        part = current.only(at, 1)
+        its = replace(seen, keyframe=part.keyframe, point=part.point, xy=seen.xy[at])
+        directions = np.einsum("nij,nj->ni", R_cam[part.keyframe], homogeneous(its.xy))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        points, defined = intersect_rays(current.point, current.num_points, centre[current.keyframe], directions)
-        error = reprojection_errors(replace(state, points=points), observations(current, rays, camera))
+        found = intersect_rays(part.point, part.num_points, centre[part.keyframe], directions)
+        points[changed], defined[changed] = found
+        error[at] = reprojection_errors(replace(state, points=found[0]), its)
         good = defined[current.point] & (error < gate_px)
         if good.all():
             break
@@ -278,9 +283,11 @@ def triangulate_and_prune(
         np.maximum.at(worst, current.point, finite)
         is_worst = (finite >= worst[current.point]) & ~good
         drop = is_worst | ~defined[current.point]
-        points = points[current.alive(~drop)]
-        current = current.only(~drop)
-    error = reprojection_errors(replace(state, points=points), observations(current, rays, camera))
+        alive = current.alive(~drop)
+        kept = ~drop & alive[current.point]
+        changed = (np.bincount(current.point[drop], minlength=current.num_points) > 0)[alive]
+        points, defined, error = points[alive], defined[alive], error[kept]
+        current, seen = current.only(~drop), replace(seen, xy=seen.xy[kept])
     good = error < gate_px
     points = points[current.alive(good)]
     return current.only(good), points

@@ -67,13 +67,14 @@ def longest(tracks: Tracks, per_keyframe: int) -> npt.NDArray[np.bool_]:
     Bundle adjustment needs no more to place the poses; the other points are triangulated from them afterwards.
     """
     length = np.bincount(tracks.point, minlength=tracks.num_points)
-    by_point = np.argsort(tracks.point, kind="stable")
-    begin = np.concatenate([[0], np.cumsum(length)])
-    have = np.zeros(int(tracks.keyframe.max()) + 1 if len(tracks.keyframe) else 0, dtype=np.int64)
+    keyframe = tracks.keyframe[np.argsort(tracks.point, kind="stable")].tolist()
+    begin = np.concatenate([[0], np.cumsum(length)]).tolist()
+    have = [0] * (max(keyframe, default=-1) + 1)
     chosen = np.zeros(tracks.num_points, dtype=bool)
     for m in np.argsort(-length, kind="stable").tolist():
-        seen_from = tracks.keyframe[by_point[begin[m] : begin[m + 1]]]
-        if (have[seen_from] < per_keyframe).any():
+        seen_from = keyframe[begin[m] : begin[m + 1]]
+        if min([have[k] for k in seen_from], default=per_keyframe) < per_keyframe:
             chosen[m] = True
-            have[seen_from] += 1
+            for k in seen_from:
+                have[k] += 1
     return chosen

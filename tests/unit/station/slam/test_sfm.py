@@ -161,7 +161,7 @@ def test_points_are_found_where_rays_meet(seed: int) -> None:
     assert not good_behind.any() and behind.shape == (5, 3)
 
 
-@pytest.mark.parametrize("max_dense", [4200, 0])  # 0: the sparse solver of long drives
+@pytest.mark.parametrize("max_dense", [4200, 0])  # 0: the sparse solver of drives through rooms
 def test_bundle_adjustment_corrects_poses_and_survives_outliers(
     max_dense: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,11 +6,13 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from station.files.navigation_folder import save_navigation
 from station.library.place_changes import changes_of
 from station.maps.editing import with_place_renamed
+from station.maps.record import describe_map, encode_record
 from station.maps.repair.check import verify
 from station.maps.store import MapStore
 from station.model.floor_plan import FloorPlan, NameSuggestion
@@ -18,7 +20,7 @@ from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
 from station.places.making.changes import with_places_merged
 from station.places.rooms.edits import require_plan, with_room_renamed
-from station.places.rooms.planning import with_suggestions_of
+from station.places.rooms.planning import planned, with_suggestions_of
 from station.workers import library_jobs
 from station.workers.library_jobs import LibraryJobs
 from tests.support.coloured_rooms import GREY, coloured_rooms
@@ -68,6 +70,32 @@ def test_what_people_do_while_a_map_is_built_again_stays_and_can_be_undone(
     assert room_names(built)[0] == "Kitchen" and built.plan_edits.names == {room: "Kitchen"}
     assert built.places[0].name == "Sofa" and "Kitchen · 2" in [place.name for place in built.places]
     assert said_changes(store, map_id) == ["the kitchen is named", "the sofa is named"]
+
+
+@pytest.mark.computing
+def test_a_first_map_is_planned_once_as_if_with_what_its_pictures_suggest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save_navigation(made_up_navigation(), tmp_path / "drive")
+    drafts: list[PlaceMap] = []
+    found: list[NameSuggestion] = []
+
+    def planned_once(place_map: PlaceMap, earlier: PlaceMap | None) -> PlaceMap:
+        drafts.append(place_map)
+        return planned(place_map, earlier)
+
+    def names(place_map: PlaceMap, plan: FloorPlan) -> tuple[NameSuggestion, ...]:
+        corners, p_map = np.zeros((4, 2)), place_map.places[0].centroid_map
+        found.append(NameSuggestion(plan.rooms[0].id, "Kitchen", "sticker", 0.9, "A sticker.", 0, corners, p_map))
+        return tuple(found)
+
+    monkeypatch.setattr(library_jobs, "planned", planned_once)
+    monkeypatch.setattr(library_jobs, "sticker_names", names)
+    made = MapStore(tmp_path / "maps").load(build(tmp_path))
+    [draft] = drafts
+    expected = planned(replace(draft, suggestions=tuple(found)))
+    assert [s.name for s in made.suggestions] == ["Kitchen"]
+    assert encode_record(describe_map(made, {})) == encode_record(describe_map(expected, {}))
 
 
 @pytest.mark.computing
