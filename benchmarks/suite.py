@@ -115,6 +115,14 @@ SUITE = (
         "--worlds home:600-602 plain:600-602 real --wrong-focal 2 --leave-kind-out", None, data=f"{DATA}/redkitchen",
     ),
     Benchmark(
+        "current_place_twins", CURRENT, "bench_current_place",
+        "--worlds lookalike:600 --wrong-focal 2 --map-all", None,
+    ),
+    Benchmark(
+        "current_place_identical_twins", CURRENT, "bench_current_place",
+        "--worlds lookalike:600 --wrong-focal 2 --map-all --identical", None,
+    ),
+    Benchmark(
         "current_place_passing", CURRENT, "bench_current_place",
         "--worlds plain:600-624 --wrong-focal 2 --without-turns", None,
     ),
