@@ -196,8 +196,9 @@ class Station:
                 second.post(LibraryProgram.prepare_index, folders)
                 built = await worker.call(LibraryProgram.build_map, *order)
                 self.events.changed("map")
+                indexing = worker if second.is_ended else second
                 try:
-                    await second.call(LibraryProgram.index_map, folders, address, built.map_id)
+                    await indexing.call(LibraryProgram.index_map, folders, address, built.map_id)
                 except RobotSystemError as exc:  # the map is there; localisation makes what is missing
                     self._without(worker, f"the index of {built.name} is made later", exc)
             if activate:

@@ -102,7 +102,7 @@ class _Finder:
         self.look = look
         self._up_deg, self._max_features = up_deg, max_features
         # Without "precise", features lie a quarter of a pixel too far right and down (blobs at known places).
-        limit = max_features if up_deg is None else 2 * max_features  # of which some are found twice
+        limit = max_features if up_deg is None else 0  # a corner of a pattern is found up to four times: cut after that
         self._sift = cv2.SIFT.create(limit, LAYERS, contrast, look.edge_ratio, enable_precise_upscale=True)
         self._evened = cv2.createCLAHE(EVENED_CLIP, EVENED_TILES) if look.is_evened else None
 

@@ -21,7 +21,7 @@ from station.workers.worker import Worker
 logger = logging.getLogger(__name__)
 
 MAX_STORED_JOBS = 50
-MAX_RUNNING_JOBS = 2  # a job loads a core; more at once would slow SLAM and localisation
+MAX_RUNNING_JOBS = 2  # a job loads a core, and a second one for a while; more at once would slow SLAM and localisation
 JobWorker = Worker[ProgramT, Progress]
 JobState = Literal["running", "done", "failed", "cancelled"]
 
@@ -47,7 +47,7 @@ class Jobs(Generic[ProgramT]):
         self._events = events
         self._program = program
         self._jobs: OrderedDict[str, Job] = OrderedDict()
-        self._running: dict[str, tuple[asyncio.Task[None], JobWorker[ProgramT]]] = {}
+        self._running: dict[str, tuple[asyncio.Task[None], list[JobWorker[ProgramT]]]] = {}
         self._cancelled: set[str] = set()  # those of them that somebody cancelled
         self._count = 0
 
@@ -76,7 +76,8 @@ class Jobs(Generic[ProgramT]):
         job = Job(id=f"job-{self._count}", kind=kind, title=title)
         worker = Worker(job.id, self._program, on_event=lambda progress: self._advance(job.id, progress))
         self._store(job)
-        self._running[job.id] = (asyncio.create_task(self._run(job.id, worker, work, on_failure), name=job.id), worker)
+        task = asyncio.create_task(self._run(job.id, worker, work, on_failure), name=job.id)
+        self._running[job.id] = (task, [worker])
         return job
 
     def require_room(self) -> None:
@@ -88,9 +89,11 @@ class Jobs(Generic[ProgramT]):
     async def beside(self, worker: JobWorker[ProgramT]) -> AsyncIterator[JobWorker[ProgramT]]:
         """A second worker for what a job can do at the same time; ends with the block, at once where that fails.
 
-        Where there can be none, what it is asked fails as if it had died.
+        Whoever cancels the job ends it, too. Where there can be none, what it is asked fails as if it had died.
         """
         second = Worker(worker.name, self._program, on_event=lambda progress: self._advance(worker.name, progress))
+        _, workers = self._running[worker.name]
+        workers.append(second)
         try:
             try:
                 await second.start()
@@ -102,6 +105,7 @@ class Jobs(Generic[ProgramT]):
             second.kill()
             raise
         finally:
+            workers.remove(second)
             await second.close()
 
     async def cancel(self, job_id: str) -> Job:
@@ -119,9 +123,10 @@ class Jobs(Generic[ProgramT]):
             await self._end(job_id)
 
     async def _end(self, job_id: str) -> None:
-        task, worker = self._running[job_id]
+        task, workers = self._running[job_id]
         self._cancelled.add(job_id)
-        worker.kill()
+        for worker in workers:
+            worker.kill()
         await asyncio.wait([task])
 
     async def _run(

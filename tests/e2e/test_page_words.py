@@ -17,8 +17,9 @@ SMALL_PHONE = {"viewport": {"width": 375, "height": 667}, "has_touch": True, "is
 LONG = "The room with the blue curtains where grandmother keeps everything that we need."
 LIVING_ROOM = {"id": "room-l", "name": "Living room", "probability": 0.93}
 CHILD = {"id": "room-k", "name": "Child's room", "probability": 0.9}
-SOFA = {"id": "place-1", "name": "Sofa", "room": "room-l"}
 Told = dict[str, Any]
+SOFA = {"id": "place-1", "name": "Sofa"}
+AT_SOFA: Told = {"place": SOFA, "place_room": "room-l"}
 
 
 async def planned_page(room: Room, told: Told, **options: Any) -> Page:
@@ -47,7 +48,7 @@ async def planned_page(room: Room, told: Told, **options: Any) -> Page:
 
 
 def place_of(name: str, room_id: str | None) -> Told:
-    return {"place": {"id": "place-1", "name": name, "room": room_id}}
+    return {"place": {"id": "place-1", "name": name}, "place_room": room_id}
 
 
 async def test_a_place_of_another_room_is_told_by_the_door_or_not_at_all(room: Room) -> None:
@@ -75,7 +76,7 @@ async def test_a_place_of_another_room_is_told_by_the_door_or_not_at_all(room: R
 
 async def test_each_probability_says_of_what_it_is_and_why_some_are_more_than_all(room: Room) -> None:
     other = {"id": "place-2", "name": "Shelf", "probability": 0.08, "map": "map-1"}
-    told: Told = {"room": LIVING_ROOM, "place": SOFA, "probability": 0.91, "alternatives": [other]}
+    told: Told = {"room": LIVING_ROOM, **AT_SOFA, "probability": 0.91, "alternatives": [other]}
     page = await planned_page(room, told)
     await expect(page.locator("#place-probability")).to_have_text("93 %")
     await expect(page.locator("#place-probability-of")).to_have_text("room")
@@ -92,7 +93,7 @@ async def test_each_probability_says_of_what_it_is_and_why_some_are_more_than_al
 
 async def test_what_an_answer_withholds_is_not_shown_as_sure(room: Room) -> None:
     other = {"id": "place-2", "name": "Shelf", "probability": 0.97, "map": "map-1"}
-    seen: Told = {"room": LIVING_ROOM, "place": SOFA, "alternatives": [other], "withheld": False}
+    seen: Told = {"room": LIVING_ROOM, **AT_SOFA, "alternatives": [other], "withheld": False}
     told = dict(seen)
     page = await planned_page(room, told)
     await expect(page.locator(".plan-robot.known .body")).to_have_count(1)
@@ -108,15 +109,16 @@ async def test_what_an_answer_withholds_is_not_shown_as_sure(room: Room) -> None
 
 
 SAID: dict[str, Told] = {
-    "a room and a place": {"place": SOFA},
+    "a room and a place": {**AT_SOFA},
     "no place": {"place": None, "state": "lost"},
     "a doorway": {"doorway": "door-lk", "room_alternatives": [CHILD]},
     "long names": {
         "room": LIVING_ROOM | {"name": LONG},
+        **AT_SOFA,
         "place": SOFA | {"name": LONG},
         "reason": f"{LONG} {LONG} {LONG}",
     },
-    "a word without a blank": {"room": LIVING_ROOM | {"name": 80 * "m"}, "place": SOFA | {"name": 80 * "m"}},
+    "a word without a blank": {"room": LIVING_ROOM | {"name": 80 * "m"}, **AT_SOFA, "place": SOFA | {"name": 80 * "m"}},
     "nothing": {"room": None, "place": None, "state": "unknown", "alternatives": [], "reason": ""},
     "a map that is read": {"room": None, "place": None, "state": "lost", "preparing": 0.3, "t_robot_ns": None},
     "one of two": {"room": None, "place": None, "state": "lost", "one_of_two": [LIVING_ROOM, CHILD]},
@@ -129,7 +131,7 @@ WHERE = """() => ["stick", "stop", "video"].map((id) => {
 
 @pytest.mark.parametrize("options", [SMALL_PHONE, LAPTOP], ids=["phone", "laptop"])
 async def test_joystick_and_stop_stay_where_they_are_whatever_the_card_says(room: Room, options: Told) -> None:
-    first: Told = {"room": LIVING_ROOM, "place": SOFA, "reason": "first"}
+    first: Told = {"room": LIVING_ROOM, **AT_SOFA, "reason": "first"}
     told = dict(first)
     page = await planned_page(room, told, **options)
     found = {}
@@ -144,7 +146,7 @@ async def test_joystick_and_stop_stay_where_they_are_whatever_the_card_says(room
 
 
 async def test_a_tap_on_a_phone_shows_what_is_cut_and_moves_nothing(room: Room) -> None:
-    told: Told = {"room": LIVING_ROOM | {"name": LONG}, "place": SOFA, "reason": f"{LONG} {LONG} {LONG}"}
+    told: Told = {"room": LIVING_ROOM | {"name": LONG}, **AT_SOFA, "reason": f"{LONG} {LONG} {LONG}"}
     page = await planned_page(room, told, **SMALL_PHONE)
     await expect(page.locator("#place-name")).to_have_text(LONG)
     is_cut = "id => { const e = document.getElementById(id); return e.scrollHeight > e.clientHeight + 1; }"
@@ -159,7 +161,7 @@ async def test_a_tap_on_a_phone_shows_what_is_cut_and_moves_nothing(room: Room) 
 
 
 async def test_a_name_of_eighty_letters_stays_in_its_room_and_is_whole_beside_the_pointer(room: Room) -> None:
-    page = await planned_page(room, {"room": LIVING_ROOM | {"name": LONG}, "place": SOFA})
+    page = await planned_page(room, {"room": LIVING_ROOM | {"name": LONG}, **AT_SOFA})
     assert (await room.desk.http.patch("/rooms/room-l", json={"name": LONG})).status_code == 200
     label = page.locator(".plan-names [data-room=room-l]")
     await expect(label).to_have_text(re.compile("^The room.*…$"))

@@ -98,7 +98,8 @@ async def test_a_job_that_fails_in_any_way_says_so_and_leaves_room_for_the_next(
         await jobs.close()
 
 
-async def test_a_second_worker_works_beside_the_first_and_both_end_when_the_job_is_cancelled() -> None:
+@pytest.mark.parametrize("awaited", [0, 1])
+async def test_a_second_worker_works_beside_the_first_and_both_end_when_the_job_is_cancelled(awaited: int) -> None:
     jobs = Jobs(Events(), ProgramName.of(Porter))
     workers: list[JobWorker[Porter]] = []
 
@@ -106,8 +107,8 @@ async def test_a_second_worker_works_beside_the_first_and_both_end_when_the_job_
         async with jobs.beside(worker) as second:
             workers.extend([worker, second])
             assert await second.call(Porter.double) == [2, 4, 6]
-            second.post(Porter.wait)
-            await worker.call(Porter.wait)
+            workers[1 - awaited].post(Porter.wait)
+            await workers[awaited].call(Porter.wait)
         raise AssertionError("it was cancelled")
 
     try:

@@ -13,17 +13,19 @@ SENTENCE = runpy.run_path(str(ROOT / "examples" / "place_client.py"))["sentence"
 KITCHEN = {"id": "room-k", "name": "Kitchen", "probability": 0.98}
 
 
-def place(room: str | None) -> dict[str, Any]:
-    return {"id": "place-1", "name": "Stove", "room": room}
+STOVE = {"id": "place-1", "name": "Stove"}
 
 
 @pytest.mark.parametrize(
     ("told", "words"),
     [
-        ({"room": KITCHEN, "place": place("room-k")}, "in Kitchen (98%), at Stove (90%): why"),
-        ({"room": KITCHEN, "place": place("room-l")}, "in Kitchen (98%): why"),
+        ({"room": KITCHEN, "place": STOVE, "place_room": "room-k"}, "in Kitchen (98%), at Stove (90%): why"),
+        ({"room": KITCHEN, "place": STOVE, "place_room": "room-l"}, "in Kitchen (98%): why"),
         ({"room": KITCHEN, "place": None, "state": "lost"}, "in Kitchen (98%): why"),
-        ({"room": None, "place": place(None), "distance_m": 0.5}, "at Stove (90%, 0.5 m from its middle): why"),
+        (
+            {"room": None, "place": STOVE, "place_room": None, "distance_m": 0.5},
+            "at Stove (90%, 0.5 m from its middle): why",
+        ),
         ({"room": None, "place": None, "state": "lost"}, "lost: why"),
     ],
 )

@@ -23,11 +23,9 @@ class PlaceName(Model):
     name: str = Field(examples=["Kitchen"])
 
 
-class PlaceInRoom(PlaceName):
-    room: str | None = Field(
-        description="id of the room that the place is in; the robot may be in another, near a door",
-        examples=["room-3f21aa"],
-    )
+PLACE_ROOM = Field(
+    description="id of the room that `place` is in; the robot may be in another, near a door", examples=["room-3f21aa"]
+)
 
 
 class PlaceProbability(PlaceName):
@@ -63,7 +61,8 @@ class CurrentPlace(Model):
     """
 
     state: Literal["known", "unknown", "lost"]
-    place: PlaceInRoom | None
+    place: PlaceName | None
+    place_room: str | None = PLACE_ROOM
     probability: float = Field(
         description="that `place` is the nearest one or within 10 % of that; of the likeliest one while none is known",
         examples=[0.97],
@@ -113,7 +112,8 @@ class VisitModel(Model):
     """A stretch of time with one answer."""
 
     state: Literal["known", "unknown", "lost"]
-    place: PlaceInRoom | None
+    place: PlaceName | None
+    place_room: str | None = PLACE_ROOM
     room: RoomName | None
     start_unix_s: float
     end_unix_s: float
@@ -220,6 +220,7 @@ def current_place(robot: RobotSession) -> CurrentPlace:
         return CurrentPlace(
             state="unknown",
             place=None,
+            place_room=None,
             probability=0.0,
             distance_m=None,
             position_map=None,
@@ -255,7 +256,8 @@ def current_place(robot: RobotSession) -> CurrentPlace:
     has_query = evidence_ns is not None and robot.current_place.query_image(evidence_ns) is not None
     return CurrentPlace(
         state=answer.state,
-        place=_in_room(*known[answer.place.id]) if answer.place else None,
+        place=None if answer.place is None else _name_of(known[answer.place.id][0]),
+        place_room=None if answer.place is None else _room_of(*known[answer.place.id]),
         probability=_probability(likeliest.probability if likeliest else 0.0),
         distance_m=answer.distance if is_metric else None,
         position_map=None if answer.position_map is None else [float(x) for x in answer.position_map],
@@ -287,9 +289,13 @@ def current_place(robot: RobotSession) -> CurrentPlace:
     )
 
 
-def _in_room(place: Place, active: ActiveMap) -> PlaceInRoom:
+def _name_of(place: Place) -> PlaceName:
+    return PlaceName(id=place.id, name=place.name)
+
+
+def _room_of(place: Place, active: ActiveMap) -> str | None:
     plan = active.place_map.plan
-    return PlaceInRoom(id=place.id, name=place.name, room=None if plan is None else plan.room_of_place.get(place.id))
+    return None if plan is None else plan.room_of_place.get(place.id)
 
 
 def _no_answer_yet(robot: RobotSession) -> str:
@@ -314,9 +320,7 @@ def _age_s(robot: RobotSession, t_robot_ns: int) -> float | None:
 def visit_model(visit: Visit) -> VisitModel:
     return VisitModel.of(
         visit,
-        place=None
-        if visit.place_id is None
-        else PlaceInRoom(id=visit.place_id, name=visit.place_name, room=visit.place_room),
+        place=None if visit.place_id is None else PlaceName(id=visit.place_id, name=visit.place_name),
         room=None if visit.room_id is None else RoomName(id=visit.room_id, name=visit.room_name),
         start_unix_s=visit.start_wall_s,
         end_unix_s=visit.end_wall_s,

@@ -135,16 +135,16 @@ class Localizer:
         fit: CalibrationFit | None = None,
     ) -> Attempt:
         """As `attempt`, from the features of an image for each map."""
-        most = max(features, key=len)
-        n = len(most)
+        seen = features[0]  # always the same map's: whoever compares images has features of one kind
+        n = max(map(len, features))
         if n < self.config.min_inliers:
-            return _nothing(f"only {n} features in the image: dark, covered, blurred or featureless", most)
+            return _nothing(f"only {n} features in the image: dark, covered, blurred or featureless", seen)
         proposed = [
-            index.query(seen.descriptors, self.config.num_proposals)
-            for index, seen in zip(self.appearances, features, strict=True)
+            index.query(one.descriptors, self.config.num_proposals)
+            for index, one in zip(self.appearances, features, strict=True)
         ]
         if not any(len(images) for images, _ in proposed):
-            return _nothing("nothing in the map resembles the image", most)
+            return _nothing("nothing in the map resembles the image", seen)
         cameras = [best_camera(told, one.navigation, fit) for one in self.maps]
         poses = []
         # Similarities by the words of different maps cannot be compared (a small map has few words, which more images
@@ -158,14 +158,14 @@ class Localizer:
                     poses.append(pose)
         best_similarity = max(float(similarity[0]) for _, similarity in proposed if len(similarity))
         if not poses:
-            return _nothing("no keyframe that resembles the image agrees with it in space", most, best_similarity)
+            return _nothing("no keyframe that resembles the image agrees with it in space", seen, best_similarity)
         poses = self._distinct(poses)
         best_inliers = poses[0].pose.num_inliers
         objections = [self._objection(pose, features[pose.map_index], cameras[pose.map_index]) for pose in poses]
         verified = [pose for pose, objection in zip(poses, objections, strict=True) if objection is None]
-        candidates = tuple(self._answer(pose, n, t_robot_ns) for pose in verified)
+        candidates = tuple(self._answer(pose, len(features[pose.map_index]), t_robot_ns) for pose in verified)
         if not candidates:
-            return Attempt(None, (), objections[0] or "", n, best_inliers, best_similarity, most)
+            return Attempt(None, (), objections[0] or "", n, best_inliers, best_similarity, seen)
         rival = self._rival(verified[0], poses)
         if rival is None:
             return Attempt(
@@ -175,10 +175,10 @@ class Localizer:
                 n,
                 best_inliers,
                 best_similarity,
-                most,
+                seen,
             )
         reason = f"another part of the map fits as well ({rival} against {verified[0].pose.num_inliers} landmarks)"
-        return Attempt(None, candidates, reason, n, best_inliers, best_similarity, most)
+        return Attempt(None, candidates, reason, n, best_inliers, best_similarity, seen)
 
     def _groups(self, images: IntArray) -> list[list[int]]:
         """Proposed keyframes of one map by region: each of the best ones with those that share landmarks with it."""

@@ -89,7 +89,7 @@ class Reporter:
         candidates = [self._place_candidate(int(i), float(found.tie[i])) for i in order]
         # In a map of one place a robot that is lost in it is there, too: but nobody recognised it.
         is_known = is_recognised and bool(len(order)) and found.tie[order[0]] >= self.config.known_from
-        is_known &= not room.one_of_two  # a place is in one of them
+        is_known &= not room.is_rivalled  # a place is in one of two rooms
         known_in = self._located(int(order[0]))[0] if is_known else room.map_index
         # Where the place is known, its distance is to a position in its own map.
         among = [pair for pair in zip(belief.hypotheses, poses, strict=True) if known_in in (None, pair[0].map_index)]
@@ -120,7 +120,7 @@ class Reporter:
                 sigma_position=self._sigma(best),
             )
         is_localized = best is not None and best.weight > 0.5
-        is_unknown = (
+        is_unknown = not room.is_rivalled and (
             not len(order)
             or found.unmapped >= self.config.unknown_from
             or (is_localized and self._doubts_only_the_map(found))

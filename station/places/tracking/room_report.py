@@ -29,6 +29,7 @@ class RoomProbabilities:
     inside: FloatArray  # (R,)
     tie: FloatArray  # (R,) in it, or in a doorway of it
     recognised: FloatArray  # (R,) as `inside`, without what is mere prior: somewhere in a map
+    apart: FloatArray  # (R,) weight of the hypotheses that lie mostly in it
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +41,7 @@ class RoomAnswer:
     alternatives: tuple[RoomCandidate, ...] = ()
     one_of_two: tuple[RoomCandidate, ...] = ()
     doorway: str | None = None  # id of the door
+    is_rivalled: bool = False  # another pose, in another room, is possible, too: nothing is known
 
 
 def _prior(maps: Sequence[MapView]) -> FloatArray:
@@ -72,7 +74,7 @@ class RoomReporter:
 
         A plan goes on into a room that was looked into through a door it did not find.
         """
-        inside, tie = np.zeros((2, self._first[-1]))
+        inside, tie, apart = np.zeros((3, self._first[-1]))
         for h, p_map in drawn:
             view = self._views[h.map_index]
             if view is not None:
@@ -83,8 +85,10 @@ class RoomReporter:
                 part = slice(self._first[h.map_index], self._first[h.map_index + 1])
                 inside[part] += h.weight * within
                 tie[part] += h.weight * tied
+                if within.any():
+                    apart[self._first[h.map_index] + int(np.argmax(within))] += h.weight
         lost = belief.lost * self._prior
-        return RoomProbabilities(inside + lost, tie + lost, inside)
+        return RoomProbabilities(inside + lost, tie + lost, inside, apart)
 
     def answer(self, belief: Belief, drawn: Sequence[Drawn]) -> RoomAnswer:
         """The room where one is probable enough, and what else it may be."""
@@ -94,10 +98,11 @@ class RoomReporter:
         candidates = tuple(self._candidate(int(i), float(found.tie[i])) for i in order)
         is_right = found.tie[order] >= self._config.known_from
         is_between = len(order) > 1 and bool(is_right[1])  # in a doorway both are right
-        two = () if is_between else self._one_of_two(found.recognised)
+        two = self._one_of_two(found.recognised)
+        is_rivalled = bool(two) and not is_between and bool(found.apart[order[1]] >= EITHER)
         # In a map of one room a robot that is lost in it is there, too: but nobody recognised it.
-        if two or belief.localised <= 0.5 or not len(order) or not is_right[0]:
-            return RoomAnswer(alternatives=candidates, one_of_two=two)
+        if is_rivalled or belief.localised <= 0.5 or not len(order) or not is_right[0]:
+            return RoomAnswer(alternatives=candidates, one_of_two=two, is_rivalled=is_rivalled)
         map_index, room = self._located(int(order[0]))
         doorway = None
         if is_between:

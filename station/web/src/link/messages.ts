@@ -272,7 +272,9 @@ export interface ComparisonOrder {
 /** Which place the robot is at, and in which room. `place` is null unless the state is "known"; the room may be */
 export interface CurrentPlace {
   state: "known" | "unknown" | "lost";
-  place: PlaceInRoom | null;
+  place: PlaceName | null;
+  /** id of the room that `place` is in; the robot may be in another, near a door */
+  place_room: string | null;
   /** that `place` is the nearest one or within 10 % of that; of the likeliest one while none is known */
   probability: number;
   /** robot to the place's centroid; null without a metric map */
@@ -723,13 +725,6 @@ export interface PlaceChange {
   hidden: boolean | null;
 }
 
-export interface PlaceInRoom {
-  id: string;
-  name: string;
-  /** id of the room that the place is in; the robot may be in another, near a door */
-  room: string | null;
-}
-
 /** Which places are one; it keeps id and name of the first. */
 export interface PlaceMerge {
   places: string[];
@@ -1036,7 +1031,9 @@ export interface UsedNoise {
 /** A stretch of time with one answer. */
 export interface VisitModel {
   state: "known" | "unknown" | "lost";
-  place: PlaceInRoom | null;
+  place: PlaceName | null;
+  /** id of the room that `place` is in; the robot may be in another, near a door */
+  place_room: string | null;
   room: RoomName | null;
   start_unix_s: number;
   end_unix_s: number;

@@ -162,7 +162,7 @@ function placeOrRooms(current: CurrentPlace): { words: string; sure: string } | 
   const { place, probability, one_of_two: two } = current;
   if (!place && two.length) return { words: two.map((one) => percent(one.probability)).join(" or "), sure: "" };
   if (!place) return { words: "not sure at which place", sure: "" };
-  const words = placeInWords(place, roomsOf(current));
+  const words = placeInWords(current, roomsOf(current));
   return words === null ? null : { words, sure: words === place.name ? `, ${percent(probability)}` : "" };
 }
 
@@ -171,7 +171,7 @@ function kicker(current: CurrentPlace): string {
   const { place, room, one_of_two: two, doorway, distance_m: distance } = current;
   if (doorway !== null) return "In the doorway";
   if (!room && two.length) return "One of two rooms";
-  const isTold = place !== null && placeInWords(place, roomsOf(current)) === place.name;
+  const isTold = place !== null && placeInWords(current, roomsOf(current)) === place.name;
   const what = room ? (isTold ? "Current room and place" : "Current room") : "Current place";
   return isTold && distance !== null ? `${what} · ${distance.toFixed(1)} m away` : what;
 }

@@ -23,6 +23,7 @@ export class LastChange {
 
   /** The map in use is another one, or changed; null: there is none. */
   showMap(id: string | null): Promise<void> {
+    if (id !== this.map) this.newest = null; // of another map
     this.map = id;
     return this.list.ask();
   }
@@ -42,11 +43,15 @@ export class LastChange {
     const made = this.newest;
     if (!made) return;
     if (!making.isUnwanted) {
-      toast(`${made.why}.`, { label: "Undo", act: () => this.takeBack(made) });
+      toast(`${made.why}.`, {
+        label: "Undo",
+        act: async () => {
+          await this.takeBack(made);
+        },
+      });
       return;
     }
-    await this.takeBack(made);
-    toast(`Taken back: ${made.why}.`);
+    if (await this.takeBack(made)) toast(`Taken back: ${made.why}.`);
   }
 
   private press(): void {
@@ -57,17 +62,19 @@ export class LastChange {
     } else if (newest) attempt(() => this.takeBack(newest));
   }
 
-  /** Just this one. A second press, before the list says what is the newest then, does nothing. */
-  private async takeBack(change: PlacesChangeModel): Promise<void> {
-    if (this.isTakingBack) return;
+  /** Just this one; whether that was done. A second press, before the list says what is the newest then, does nothing. */
+  private async takeBack(change: PlacesChangeModel): Promise<boolean> {
+    if (this.isTakingBack) return false;
     this.isTakingBack = true;
     try {
       await call("POST", "/places/undo", { version: change.version });
       await this.list.ask();
+      return true;
     } catch (error) {
       if (!(error instanceof ApiError) || error.status !== 409) throw error;
       await this.list.ask();
       this.tellWhatCameBetween(change);
+      return false;
     } finally {
       this.isTakingBack = false;
     }
@@ -77,7 +84,12 @@ export class LastChange {
   private tellWhatCameBetween(change: PlacesChangeModel): void {
     const { newest } = this;
     if (newest && newest.version > change.version)
-      toast(`Meanwhile: ${newest.why}.`, { label: "Undo", act: () => this.takeBack(newest) });
+      toast(`Meanwhile: ${newest.why}.`, {
+        label: "Undo",
+        act: async () => {
+          await this.takeBack(newest);
+        },
+      });
     else toast(`It was taken back already: ${change.why}.`);
   }
 

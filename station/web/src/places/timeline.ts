@@ -61,7 +61,8 @@ export class Timeline {
 }
 
 /** The place, or the room where the nearest place is another room's. */
-function nameOf({ place, room, state }: VisitModel): string {
-  const words = place && placeInWords(place, room ? [room] : []);
+function nameOf(visit: VisitModel): string {
+  const { room, state } = visit;
+  const words = placeInWords(visit, room ? [room] : []);
   return words ?? room?.name ?? state;
 }

@@ -1,12 +1,17 @@
 // Where the robot is, in words: the place beside the room that it is in.
-import type { CurrentPlace, PlaceInRoom, RoomName } from "../link/messages";
+import type { CurrentPlace, PlaceName, RoomName } from "../link/messages";
+
+interface Placed {
+  place: PlaceName | null;
+  place_room: string | null; // that the place is in
+}
 
 /**
  * What is said of the place below these rooms, of which the robot is in one. The nearest place may be another room's: then
  * the door between both is told, or nothing (null).
  */
-export function placeInWords(place: PlaceInRoom, rooms: RoomName[]): string | null {
-  if (place.room === null || rooms.length === 0 || rooms.some(({ id }) => id === place.room)) return place.name;
+export function placeInWords({ place, place_room: own }: Placed, rooms: RoomName[]): string | null {
+  if (!place || own === null || rooms.length === 0 || rooms.some(({ id }) => id === own)) return place?.name ?? null;
   for (const { name } of rooms) {
     const end = ` · door to ${name}`;
     if (place.name.endsWith(end)) return `near the door to ${place.name.slice(0, -end.length)}`;

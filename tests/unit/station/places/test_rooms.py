@@ -86,9 +86,18 @@ def test_a_room_and_a_place_are_named_where_no_other_room_was_recognised_to_spea
     )
     reporter = Reporter([MapView.of(flat())], BeliefConfig(), seed=0)
     answer = reporter.answer(Belief(hypotheses, lost=0.0, unmapped=0.0), np.eye(4), SECOND, Past("", True))
-    assert (answer.state == "known") is is_named
+    assert answer.state == ("known" if is_named else "lost")
+    assert is_named or "look alike" in answer.reason
     assert (answer.room is not None and answer.room.id == "room-l") is is_named
     assert {room.id for room in answer.one_of_two} == (set() if is_named else {"room-l", "room-k"})
+
+
+def test_one_pose_beside_a_door_is_in_the_room_that_has_most_of_it() -> None:
+    """It spreads through the door, but nothing looks alike."""
+    hypothesis = Hypothesis(0, pose(2.6, 0.0), 1.0, 0.3, 0.1, 1.0, 0, 0, 0)
+    reporter = Reporter([MapView.of(flat())], BeliefConfig(), seed=0)
+    answer = reporter.answer(Belief((hypothesis,), lost=0.0, unmapped=0.0), np.eye(4), SECOND, Past("", True))
+    assert answer.one_of_two == () and answer.room is not None
 
 
 def test_in_a_doorway_both_rooms_are_right() -> None:

@@ -64,6 +64,19 @@ def test_details_hold_the_features_bit_for_bit(contrast: float, rich: bool, up_d
         assert rich or len(details.features) > 1.2 * len(direct)
 
 
+@pytest.mark.parametrize("up_deg", [None, 0.0])
+def test_details_hold_the_features_of_a_pattern_whose_corners_have_four_directions(up_deg: float | None) -> None:
+    rng = np.random.default_rng(3)
+    tiles = rng.permuted(np.tile([60, 200], (24 * 32, 1)), axis=1)[:, 0].reshape(24, 32)
+    board = np.kron((np.indices((24, 32)).sum(axis=0) % 2) * 120 + 60, np.ones((20, 20)))
+    for picture in (board, np.kron(tiles, np.ones((20, 20)))):
+        grey = cv2.GaussianBlur(picture.astype(np.uint8), (0, 0), 1.0)
+        direct, details = FeatureExtractor(up_deg=up_deg).extract(grey), DetailExtractor(up_deg).extract(grey)
+        assert len(direct) >= FEW_FEATURES
+        assert np.array_equal(direct.uv_px, details.seen.uv_px)
+        assert np.array_equal(direct.descriptors, details.seen.descriptors)
+
+
 def test_a_camera_on_its_side_sees_the_same_where_it_is_known_what_is_up() -> None:
     square = np.ascontiguousarray(patches(6, 14.0)[:, :480])
     upright = FeatureExtractor(up_deg=0.0).extract(square)
