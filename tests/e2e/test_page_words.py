@@ -33,7 +33,7 @@ async def planned_page(room: Room, told: Told, **options: Any) -> Page:
             if event["type"] == "place" and event["place"]["t_robot_ns"] is not None:
                 event["place"] |= told
                 if event["visit"]:
-                    event["visit"] |= {name: told[name] for name in ("place", "room") if name in told}
+                    event["visit"] |= {name: told[name] for name in ("place", "place_room", "room") if name in told}
             socket.send(json.dumps(event))
 
         station.on_message(pass_on)
