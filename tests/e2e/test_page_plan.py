@@ -9,6 +9,7 @@ import re
 import pytest
 from playwright.async_api import Route, WebSocketRoute, expect
 
+from station.places.rooms.edits import require_plan
 from tests.e2e.conftest import Room
 from tests.support.station import store_planned_map, store_split_map
 
@@ -103,10 +104,9 @@ async def test_while_rooms_are_made_one_the_page_says_that_the_plan_is_made_anew
 
 async def test_undo_that_is_pressed_before_a_door_is_erased_takes_the_erasing_back(room: Room) -> None:
     split = store_split_map(room.desk.station.config.data_dir)
-    assert split.plan is not None
     page = await room.open()
     await room.desk.http.put("/maps/active", json={"id": split.id})
-    first = split.plan.rooms[0].id
+    first = require_plan(split).rooms[0].id
     await room.desk.http.patch(f"/rooms/{first}", json={"name": HALL})
     await expect(page.locator("#undo-text")).to_contain_text(f"is {HALL} now")
     button = await page.locator("#undo-places").bounding_box()

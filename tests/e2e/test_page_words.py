@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import re
-from typing import Any
+from typing import Any, cast
 
 import pytest
-from playwright.async_api import Page, WebSocketRoute, expect
+from playwright.async_api import FloatRect, Page, WebSocketRoute, expect
 
 from tests.e2e.conftest import LAPTOP, Room
 from tests.support.station import store_planned_map
@@ -166,8 +166,8 @@ async def test_a_name_of_eighty_letters_stays_in_its_room_and_is_whole_beside_th
     label = page.locator(".plan-names [data-room=room-l]")
     await expect(label).to_have_text(re.compile("^The room.*…$"))
     await expect(label).to_have_class(re.compile("here"))
-    written, drawn = await label.bounding_box(), await page.locator(".plan-room[data-room=room-l]").bounding_box()
-    assert written is not None and drawn is not None
+    drawn_room = page.locator(".plan-room[data-room=room-l]")
+    written, drawn = [cast(FloatRect, await shown.bounding_box()) for shown in (label, drawn_room)]
     assert drawn["x"] <= written["x"] and written["x"] + written["width"] <= drawn["x"] + drawn["width"]
     await page.locator(".plan-room[data-room=room-l]").hover(position={"x": 10, "y": 10})
     await expect(page.locator(".plan-room[data-room=room-l] title")).to_have_text(LONG)
