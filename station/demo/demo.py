@@ -200,7 +200,7 @@ def record_mapping(demo: Demo, name: str) -> str:
     start_driver(demo, "thorough", "brisk")
     demo.programs.wait("driver", DRIVE_TIMEOUT_S)
     demo.station.call("POST", f"/navigations/{navigation}/stop")
-    demo.say(f"{name}: driven; SLAM finds trajectory and landmarks (half a minute, more on a busy machine)")
+    demo.say(f"{name}: driven; SLAM finds trajectory and landmarks (a quarter of a minute, more on a busy machine)")
     return navigation
 
 
