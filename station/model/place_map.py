@@ -61,6 +61,10 @@ class PlaceMap:
         """What its places are; maps from before there was a choice are fine."""
         return "rooms" if self.config.get("places") == "rooms" else "fine"
 
+    def room_of(self, place_id: str) -> str | None:
+        """Id of the room that a place is in; None without a plan, and outside of its rooms."""
+        return None if self.plan is None else self.plan.room_of_place.get(place_id)
+
     def with_grain(self, grain: PlaceGrain) -> PlaceMap:
         """The map, whose places are to be these; those of the thesis mode are its clusters and nothing else."""
         config = {key: value for key, value in self.config.items() if key != "places"}

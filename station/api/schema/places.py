@@ -257,7 +257,7 @@ def current_place(robot: RobotSession) -> CurrentPlace:
     return CurrentPlace(
         state=answer.state,
         place=None if answer.place is None else _name_of(known[answer.place.id][0]),
-        place_room=None if answer.place is None else _room_of(*known[answer.place.id]),
+        place_room=None if answer.place is None else known[answer.place.id][1].place_map.room_of(answer.place.id),
         probability=_probability(likeliest.probability if likeliest else 0.0),
         distance_m=answer.distance if is_metric else None,
         position_map=None if answer.position_map is None else [float(x) for x in answer.position_map],
@@ -291,11 +291,6 @@ def current_place(robot: RobotSession) -> CurrentPlace:
 
 def _name_of(place: Place) -> PlaceName:
     return PlaceName(id=place.id, name=place.name)
-
-
-def _room_of(place: Place, active: ActiveMap) -> str | None:
-    plan = active.place_map.plan
-    return None if plan is None else plan.room_of_place.get(place.id)
 
 
 def _no_answer_yet(robot: RobotSession) -> str:

@@ -180,9 +180,8 @@ class Reporter:
     def _place_candidate(self, number: int, probability: float) -> PlaceCandidate:
         map_index, place_index = self._located(number)
         place_map = self._maps[map_index].place_map
-        place, plan = place_map.places[place_index], place_map.plan
-        room = None if plan is None else plan.room_of_place.get(place.id)
-        return PlaceCandidate(place.id, place.name, probability, room)
+        place = place_map.places[place_index]
+        return PlaceCandidate(place.id, place.name, probability, place_map.room_of(place.id))
 
     def _doubts_only_the_map(self, found: PlaceProbabilities) -> bool:
         """Were the position surely in the map, so was the place: what is open is where the map ends."""
