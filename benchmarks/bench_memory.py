@@ -3,9 +3,11 @@
     python -m benchmarks.bench_memory                                    # a try
     python -m benchmarks.bench_memory --minutes 180 --warm-up 10         # the bound: 1 % in three hours
     python -m benchmarks.bench_memory --devices emulated --work recording
+    python -m benchmarks.bench_memory --minutes 180 --warm-up 10 --fps 5 --together    # three hours instead of a day
 
 Each case has programs of its own: robot-server with simulated, recorded or emulated devices (the real firmware in an
-emulated Mega), and a station. Growth is that of the straight line through all samples after the warm-up.
+emulated Mega), and a station. `--together` runs all cases at once. Growth is that of the straight line through all
+samples after the warm-up. The result file is written every few minutes, of the time there is by then.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -32,6 +35,9 @@ from tests.support.emulator import board
 DEVICES = ("simulated", "recorded", "emulated")
 WORK = ("resting", "recording")
 SAMPLE_S, COMMAND_S, TURN_S = 5.0, 0.1, 6.0
+WRITE_S = 300.0
+MIN_SAMPLES = 3  # for a straight line
+DATASET = "recorded"
 MAX_GROWTH_PERCENT = 1.0
 JUDGED_FROM_MINUTES = 60.0  # in less than that, steps of the allocator hide a slow growth and look like a quick one
 
@@ -53,11 +59,31 @@ class Memory:
         return float(begin), float(begin + slope * self.t_min[-1])
 
 
-def robot_words(devices: str, dataset: Path) -> list[str]:
+@dataclass(frozen=True, slots=True)
+class Case:
+    devices: str
+    work: str
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """What was measured of a case so far, by program."""
+
+    case: Case
+    memory: dict[str, Memory] = field(default_factory=lambda: {"robot-server": Memory(), "station": Memory()})
+
+
+def robot_words(devices: str, folder: Path, fps: float) -> list[str]:
+    """`folder`: of the dataset and the simulator's settings."""
     if devices == "recorded":
-        return ["--devices", "recorded", "--dataset", str(dataset), "--at-end", "loop"]
+        return ["--devices", "recorded", "--dataset", str(folder / DATASET), "--at-end", "loop"]
+    settings = folder / "settings.toml"
+    settings.write_text(f"camera_rate_hz = {fps}\n")
+    config = folder / "robot.toml"
+    config.write_text(f'[simulated]\nsettings = "{settings}"\n')
     imu = ["--imu", "emulated"] if devices == "emulated" else []
-    return ["--devices", "simulated", "--world", "small", "--seed", "1", "--sim-port", "0", *imu]
+    words = ["--devices", "simulated", "--world", "small", "--seed", "1", "--sim-port", "0"]
+    return [*words, "--config", str(config), *imu]
 
 
 def drive(http: httpx.Client, has_ended: threading.Event) -> None:
@@ -93,29 +119,48 @@ def wait_for_robot(http: httpx.Client) -> None:
         time.sleep(0.2)
 
 
-def measure(devices: str, work: str, minutes: float, warm_up: float, dataset: Path) -> dict[str, Memory]:
-    memory = {"robot-server": Memory(), "station": Memory()}
+def measure(recorded: Recorded, minutes: float, warm_up: float, folder: Path, fps: float) -> None:
+    case, memory = recorded.case, recorded.memory
     with contextlib.ExitStack() as stack:
-        robot, told = stack.enter_context(program("robot.main", *robot_words(devices, dataset), "--port", "0"))
+        words = robot_words(case.devices, folder, fps)
+        robot, told = stack.enter_context(program("robot.main", *words, "--port", "0"))
         data = stack.enter_context(tempfile.TemporaryDirectory(prefix="sentinel-memory-"))
         words = ["serve", "--robot", f"127.0.0.1:{told.rsplit(':', 1)[1]}", "--port", "0", "--data", data]
         station, told = stack.enter_context(program("station.main", *words))
         http = stack.enter_context(httpx.Client(base_url=told.rsplit(" ", 1)[1], timeout=30.0))
         wait_for_robot(http)
-        with at_work(http, work):
+        with at_work(http, case.work):
             time.sleep(60.0 * warm_up)
             begin_s = time.monotonic()
             while (t_min := (time.monotonic() - begin_s) / 60.0) < minutes:
                 memory["robot-server"].sample(t_min, robot)
                 memory["station"].sample(t_min, station)
                 time.sleep(SAMPLE_S)
-    return memory
+
+
+def figures_of(recorded: Recorded, is_told: bool) -> Iterator[Figure]:
+    case = recorded.case
+    for name, one in recorded.memory.items():
+        if len(one.mb) < MIN_SAMPLES:
+            continue
+        begin, end = one.line()
+        minutes = one.t_min[-1]
+        percent = 100.0 * (end / begin - 1.0)
+        if is_told:
+            row = (case.devices, case.work, name, f"{begin:.1f}", f"{end:.1f}", f"{60.0 * (end - begin) / minutes:.1f}")
+            print(f"| {' | '.join(row)} | {percent:.2f} |")
+        what = f"{name}, {case.devices} devices, {case.work}"
+        at_most = MAX_GROWTH_PERCENT if minutes >= JUDGED_FROM_MINUTES else None
+        yield Figure(f"{what}: growth of memory in {minutes:.0f} min", percent, "%", at_most=at_most, of=len(one.mb))
+        yield Figure(f"{what}: memory at the end", max(one.mb[-3:]), "MB")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--minutes", type=float, default=2.0, help="Of each case, after its warm-up.")
     parser.add_argument("--warm-up", type=float, default=1.0, help="Minutes before anything counts.")
+    parser.add_argument("--fps", type=float, default=20.0, help="pictures a second of simulated cameras")
+    parser.add_argument("--together", action="store_true", help="all cases at once")
     parser.add_argument("--devices", nargs="+", choices=DEVICES, default=DEVICES)
     parser.add_argument("--work", nargs="+", choices=WORK, default=WORK)
     add_results_option(parser, "memory")
@@ -125,23 +170,19 @@ def main() -> None:
             parser.error(reason)
         board.build()
     run = Run.begin()
-    figures: list[Figure] = []
-    at_most = MAX_GROWTH_PERCENT if options.minutes >= JUDGED_FROM_MINUTES else None
+    cases = [Recorded(Case(devices, work)) for devices, work in itertools.product(options.devices, options.work)]
+    with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(len(cases) if options.together else 1) as pool:
+        folder = Path(name)
+        write_dataset(folder / DATASET)
+        running = {pool.submit(measure, case, options.minutes, options.warm_up, folder, options.fps) for case in cases}
+        while running:
+            ended, running = wait(running, timeout=WRITE_S, return_when=FIRST_COMPLETED)
+            run.write(options.results, [figure for case in cases for figure in figures_of(case, is_told=False)])
+            for one in ended:
+                one.result()
     print("| devices | work | program | begin MB | end MB | MB per hour | % |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
-    with tempfile.TemporaryDirectory() as folder:
-        write_dataset(Path(folder))
-        for devices, work in itertools.product(options.devices, options.work):
-            memory = measure(devices, work, options.minutes, options.warm_up, Path(folder))
-            for name, one in memory.items():
-                begin, end = one.line()
-                percent = 100.0 * (end / begin - 1.0)
-                per_hour = (end - begin) * 60.0 / one.t_min[-1]
-                print(f"| {devices} | {work} | {name} | {begin:.1f} | {end:.1f} | {per_hour:.1f} | {percent:.2f} |")
-                what = f"{name}, {devices} devices, {work}: growth of memory in {options.minutes:g} min"
-                figures.append(Figure(what, percent, "%", at_most=at_most, of=len(one.mb)))
-                figures.append(Figure(f"{name}, {devices} devices, {work}: memory at the end", max(one.mb[-3:]), "MB"))
-            run.write(options.results, figures)  # what there is: hours may end early
+    run.write(options.results, [figure for case in cases for figure in figures_of(case, is_told=True)])
 
 
 if __name__ == "__main__":
