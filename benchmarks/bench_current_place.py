@@ -1,7 +1,7 @@
 """The current place on maps that SLAM made, over several kinds of worlds; every "known" counts.
 
     python -m benchmarks.bench_current_place [--worlds home:600-624 plain:600-624 real] [--wrong-focal 2]
-        [--without-turns] [--map-all [--identical]] [--leave-kind-out] [--cache DIR] [--stored] [--jobs N]
+        [--one-way] [--map-all [--identical]] [--leave-kind-out] [--cache DIR] [--stored] [--jobs N]
         [--out FILE.json] [--figure FILE.png] [--results FILE]
 
 Worlds that the cache does not hold are made first (`make_drives`: what a robot sent on drives with a hijack, one room
@@ -72,7 +72,7 @@ class JudgedWorld:
     map_error_m: float | None
     drives: tuple[JudgedDrive, ...]
     rooms: tuple[RoomDrive, ...] = ()
-    is_looked_around: bool = True
+    is_mapped_both_ways: bool = True
     maps_all: bool = False  # no room is left out, and the robot is put down in one of two twins
     has_identical_twins: bool = False
     twins: tuple[TwinDrive, ...] = ()
@@ -91,7 +91,7 @@ class JudgedWorld:
         if self.kind == real.KIND:
             return (ELSEWHERE if self.is_elsewhere else self.name) + by
         wrong = f", calibration {self.wrong_percent:g} % wrong" if self.wrong_percent else ""
-        how = "" if self.is_looked_around else ", mapped without looking around"
+        how = "" if self.is_mapped_both_ways else ", mapped one way round"
         if self.maps_all:
             how += ", identical twins both mapped" if self.has_identical_twins else ", twins both mapped"
         return self.kind + wrong + how + by
@@ -126,7 +126,7 @@ def judge_world(path: Path, leave_kind_out: bool = False) -> JudgedWorld:
         error_m,
         tuple(drives),
         tuple(rooms),
-        world.is_looked_around,
+        world.is_mapped_both_ways,
         maps_all=not world.left_out and world.kind != real.KIND,
         has_identical_twins=world.has_identical_twins,
         twins=tuple(twin for twin in twins if twin.answers),
@@ -163,10 +163,10 @@ def recall_of(world: JudgedWorld) -> float:
 
 
 def figures_of(group: str, worlds: Sequence[JudgedWorld]) -> list[Figure]:
-    """What is asked of a group of worlds; nothing where whoever mapped did not look around, for comparison only."""
+    """What is asked of a group of worlds; nothing where whoever mapped went one way round only, for comparison."""
     summary = summarise([drive for world in worlds for drive in world.drives])
     kind = worlds[0].name if worlds[0].kind == real.KIND else worlds[0].kind
-    if not worlds[0].is_looked_around:
+    if not worlds[0].is_mapped_both_ways:
         return [
             share(f"{group}: right of all that is known", summary.precision.count, summary.precision.of),
             share(f"{group}: known and right in mapped rooms", summary.recall.count, summary.recall.of),

@@ -1,14 +1,14 @@
 """Make recorded drives with truth for `bench_current_place` and for fitting the belief; what is there is left alone.
 
-    python -m benchmarks.make_drives --kinds small,plain --seeds 900-905 [--wrong-focal 2] [--without-turns]
+    python -m benchmarks.make_drives --kinds small,plain --seeds 900-905 [--wrong-focal 2] [--one-way]
         [--map-all [--identical]] [--jobs N] --cache DIR
 
 Each world is mapped by the `ukf` backend from a simulated mapping drive, one room left out, and driven through again
-three times, each with a hijack. Whoever maps goes through each room and turns once round in it, as the page asks
-(`--without-turns`: only goes through). `--map-all`: of flats with twin rooms no room is left out, and the robot is put
-down in either twin, twice; `--identical`: these have the same pictures, too. `--wrong-focal P`: the robot is built
-otherwise than it says, by P % in focal length and wheels, and P/2 times 1 degree, 1 cm and 5 ms in the camera's
-mounting and time (tests/support/drives/misfit.py).
+three times, each with a hijack. Whoever maps goes once each way round every room, as the page asks (`--one-way`: one
+way only). `--map-all`: of flats with twin rooms no room is left out, and the robot is put down in either twin, twice;
+`--identical`: these have the same pictures, too. `--wrong-focal P`: the robot is built otherwise than it says, by P %
+in focal length and wheels, and P/2 times 1 degree, 1 cm and 5 ms in the camera's mounting and time
+(tests/support/drives/misfit.py).
 One process per core. Every world's line says how true its map is and what it cost.
 """
 
@@ -51,7 +51,7 @@ class Job:
         o = self.options
         how = (
             "slam" if o.with_slam else "",
-            "" if o.looks_around else "passing",
+            "" if o.both_ways else "one-way",
             "all" if o.maps_all else "",
             "identical" if o.identical_twins else "",
         )
@@ -110,16 +110,14 @@ def described(world: RecordedWorld) -> str:
 
 
 def add_mapping_option(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--without-turns", action="store_true", help="whoever maps does not look around in the rooms")
+    parser.add_argument("--one-way", action="store_true", help="whoever maps goes one way round every room only")
     parser.add_argument("--map-all", action="store_true", help="no room is left out; hijacks go into twin rooms")
     parser.add_argument("--identical", action="store_true", help="nothing within twin rooms tells them apart")
 
 
 def options_of(a: argparse.Namespace, with_slam: bool = False) -> DriveOptions:
     """As the mapping options say."""
-    return DriveOptions(
-        with_slam=with_slam, looks_around=not a.without_turns, maps_all=a.map_all, identical_twins=a.identical
-    )
+    return DriveOptions(with_slam=with_slam, both_ways=not a.one_way, maps_all=a.map_all, identical_twins=a.identical)
 
 
 def main() -> int:

@@ -37,7 +37,10 @@ SUITE = (
     Benchmark("network_demo_busy", LINK, "bench_network_demo", "--profiles 'busy 2.4 GHz'", None),
     Benchmark("network_demo_two_walls", LINK, "bench_network_demo", "--profiles 'two walls'", None),
     Benchmark("fleet", LINK, "bench_fleet", "--minutes 10", "--minutes 0.5 --robots 2"),
-    Benchmark("memory", LINK, "bench_memory", "--minutes 180 --warm-up 10 --fps 5 --together", "--minutes 0.5 --warm-up 0.2"),
+    Benchmark(
+        "memory", LINK, "bench_memory", "--minutes 180 --warm-up 10 --fps 5 --together",
+        "--minutes 0.5 --warm-up 0.2",
+    ),
     Benchmark("renderer", SLAM, "bench_renderer", "--frames 200", "--frames 5"),
     Benchmark("simulated_views", SLAM, "bench_simulated_views", "--seeds 10", "--seeds 1 --pairs 2"),
     Benchmark("plain_views", SLAM, "bench_simulated_views", "--world plain --seeds 10", None),
@@ -123,8 +126,8 @@ SUITE = (
         "--worlds lookalike:600 --wrong-focal 2 --map-all --identical", None,
     ),
     Benchmark(
-        "current_place_passing", CURRENT, "bench_current_place",
-        "--worlds plain:600-624 --wrong-focal 2 --without-turns", None,
+        "current_place_one_way", CURRENT, "bench_current_place",
+        "--worlds plain:600-624 --wrong-focal 2 --one-way", None,
     ),
     Benchmark(
         "current_place_3", CURRENT, "bench_current_place",

@@ -50,7 +50,7 @@ def dataset(
     world: WorldOption = "home",
     seed: SeedOption = 0,
     route: Annotated[
-        str, typer.Option(help="mapping, thorough, second, local, tour, triangle_a, triangle_b or triangle_c")
+        str, typer.Option(help="mapping, second, local, tour, triangle_a, triangle_b or triangle_c")
     ] = "mapping",
     drive_seed: Annotated[int, typer.Option(min=0, help="noise, slip and small differences of this drive")] = 0,
     put_down: Annotated[
@@ -140,7 +140,7 @@ def calibration(
 def drive(
     station: Annotated[str, typer.Option(help="address of the station, http://HOST:PORT")],
     sim_port: Annotated[int, typer.Option(help="the simulator's control port (robot-server --sim-port)")],
-    route: Annotated[str, typer.Option(help="mapping, thorough, second, local, tour or triangle_a|b|c")] = "mapping",
+    route: Annotated[str, typer.Option(help="mapping, second, local, tour or triangle_a|b|c")] = "mapping",
     seed: Annotated[int, typer.Option(min=0, help="another route of the same kind")] = 0,
     driver: Annotated[str, typer.Option(help="name under which to hold the driver lease")] = "scripted",
     max_duration: Annotated[float, typer.Option(help="give up after this many seconds")] = 600.0,

@@ -10,10 +10,8 @@ import numpy as np
 from robot.head import CameraHead
 from robot.simulation.routes import Route
 from robot.watchdog import STANDSTILL, Velocity
-from shared.geometry import FloatArray
 
 LOOKAHEAD_M = 0.28
-TURN_RAD_S = 1.5  # commanded while turning round; wheels slip to a third of it
 WINDOW_POINTS = 40  # the nearest point is sought this far ahead only, so that a crossing route stays in order
 GOAL_M = 0.12
 MAX_COMMAND_RAD_S = 2.4  # robot-server refuses more than 2.5
@@ -28,11 +26,10 @@ class Pace:
 
     max_speed_m_s: float
     max_yaw_rate_rad_s: float  # that is meant
-    turn_rad_s: float  # commanded while turning round
 
 
-CALM = Pace(0.42, 0.5, TURN_RAD_S)
-BRISK = Pace(0.5, 0.8, MAX_COMMAND_RAD_S)  # as SLAM still follows (docs/studies/demo.md)
+CALM = Pace(0.42, 0.5)
+BRISK = Pace(0.5, 0.8)  # as SLAM still follows (docs/studies/demo.md)
 PACES = {"calm": CALM, "brisk": BRISK}
 
 
@@ -65,8 +62,6 @@ class RouteDriver:
         self._efficiency = expected_yaw_efficiency
         self._last_yaw_rate = self._last_linear = 0.0
         self._anchor, self._idle, self._backing = (math.inf, math.inf), 0, 0
-        self._turns_left = list(route.turns_round_at)
-        self._left_to_turn_rad, self._last_yaw_rad = 0.0, 0.0
         self.is_done = False
 
     @property
@@ -88,16 +83,13 @@ class RouteDriver:
 
     def command(self, x_m: float, y_m: float, yaw_rad: float, yaw_rate_rad_s: float) -> Velocity:
         """The command for the present pose and achieved yaw rate."""
-        points = self._points_ahead
+        points = self._route.points
         window = points[self._index : self._index + WINDOW_POINTS]
         distance = np.hypot(window[:, 0] - x_m, window[:, 1] - y_m)
         self._index += int(np.argmin(distance))
-        if self._turns_round(yaw_rad):
-            return Velocity(0.0, self._pace.turn_rad_s)
-        points, is_last = self._points_ahead, not self._turns_left
-        if is_last and self._index >= len(points) - 3 and math.hypot(*(points[-1] - (x_m, y_m))) < GOAL_M + 0.05:
+        if self._index >= len(points) - 3 and math.hypot(*(points[-1] - (x_m, y_m))) < GOAL_M + 0.05:
             self.is_done = True
-        if self.is_done or (is_last and self._index >= len(points) - 1):
+        if self.is_done or self._index >= len(points) - 1:
             self.is_done = True
             return STANDSTILL
         target = points[min(self._index + int(LOOKAHEAD_M / 0.05), len(points) - 1)]
@@ -116,26 +108,6 @@ class RouteDriver:
         self._learn_efficiency(yaw_rate_rad_s)
         self._last_yaw_rate = float(np.clip(yaw_rate / self._efficiency, -MAX_COMMAND_RAD_S, MAX_COMMAND_RAD_S))
         return Velocity(linear, self._last_yaw_rate)
-
-    @property
-    def _points_ahead(self) -> FloatArray:
-        """The route as far as the next turn: where the way back leads beside the way there, it may be nearer."""
-        return self._route.points[: self._turns_left[0] + 1] if self._turns_left else self._route.points
-
-    def _turns_round(self, yaw_rad: float) -> bool:
-        """Whether to turn on the spot, once at each point where the route says so."""
-        turned, self._last_yaw_rad = yaw_rad - self._last_yaw_rad, yaw_rad
-        if not self._turns_left or self._index < self._turns_left[0]:
-            return False
-        if self._left_to_turn_rad == 0.0:
-            self._left_to_turn_rad = 2 * math.pi
-            return True
-        self._left_to_turn_rad -= abs(math.remainder(turned, 2 * math.pi))
-        if self._left_to_turn_rad > 0:
-            return True
-        self._left_to_turn_rad = 0.0
-        del self._turns_left[0]
-        return False
 
     def _learn_efficiency(self, yaw_rate_rad_s: float) -> None:
         """How much of the commanded turning the wheels achieve here, as a driver feels after a second."""

@@ -95,8 +95,7 @@ def drive_route(
     http_link = StationHttp(station, driver_name)
     try:
         plan = control.ask(cmd="route", kind=kind, seed=seed)
-        turns = tuple(plan["turns_round_at"])
-        route = Route(plan["kind"], np.array(plan["points"]), plan["start_yaw"], turns)
+        route = Route(plan["kind"], np.array(plan["points"]), plan["start_yaw"])
         return _follow(control, http_link, RouteDriver(route, pace=pace), route.length_m, max_duration_s)
     finally:
         http_link.close()

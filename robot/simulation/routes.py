@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import cast
 
@@ -20,7 +20,7 @@ CELL_M = 0.06
 MARGIN_M = 0.06  # beyond the robot's radius
 COMFORT_M = 0.35  # clearance beyond which more room is not worth a detour
 SPACING_M = 0.05  # between points of a finished route
-ROUTE_KINDS = ("mapping", "thorough", "second", "local", "tour", "triangle_a", "triangle_b", "triangle_c")
+ROUTE_KINDS = ("mapping", "second", "local", "tour", "triangle_a", "triangle_b", "triangle_c")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +30,6 @@ class Route:
     kind: str
     points: FloatArray  # (N, 2) m, world
     start_yaw_rad: float
-    turns_round_at: tuple[int, ...] = ()  # rows of `points`, ascending, at which the driver turns once round
 
     @property
     def length_m(self) -> float:
@@ -141,17 +140,15 @@ def plan_route(
 ) -> Route:
     """Plan a route of a kind; another seed gives another route of the same kind.
 
-    `mapping`: a loop through every room and back. `thorough`: the same with one turn in each room. `second`: every room
-    in another order and the other way round. `local`: a loop in the room of the start. `tour`: each room both ways
-    round. `triangle_a|b|c`: for the world `room`. With a start (x, y) m the route begins there.
+    `mapping`: a loop through every room and back. `second`: every room in another order and the other way round.
+    `local`: a loop in the room of the start. `tour`: each room both ways round. `triangle_a|b|c`: for the world `room`.
+    With a start (x, y) m the route begins there.
 
     Raises:
         ConfigError: unknown kind, or no way through the world.
     """
     if kind not in ROUTE_KINDS:
         raise ConfigError(f"route {kind!r} is unknown; choose one of {', '.join(ROUTE_KINDS)}")
-    if kind == "thorough":
-        return looking_around(plan_route(world, "mapping", seed, radius_m, start), world)
     space = FreeSpace(world, radius_m)
     rng = np.random.default_rng([world.seed, seed, sum(map(ord, kind))])
     if kind.startswith("triangle"):
@@ -172,16 +169,6 @@ def plan_route(
             stops += _ring(space, world.rooms[room], stops[-1], -turn, 0.8 * scale, -shift)[1:]
     stops.append(stops[0])
     return _finish(space, kind, stops)
-
-
-def looking_around(route: Route, world: World) -> Route:
-    """The same with one turn in each room it leads through, where it comes nearest to the room's middle."""
-    nearest: list[int] = []
-    for room in world.rooms:
-        inside = [i for i, p in enumerate(route.points) if world.room_at(*p) == room.name]
-        if inside:
-            nearest.append(min(inside, key=lambda i: math.dist(route.points[i], room.centre)))
-    return replace(route, turns_round_at=tuple(sorted(nearest)))
 
 
 def _room_order(

@@ -196,8 +196,8 @@ def write_settings(folder: Path) -> Path:
 def record_mapping(demo: Demo, name: str) -> str:
     """Record one navigation while the scripted driver looks at all rooms; its id."""
     navigation: str = demo.station.call("POST", "/navigations", {"name": name})["id"]
-    demo.say(f"{name}: driving round every room, and turning once round in it (a minute and a half)")
-    start_driver(demo, "thorough", "brisk")
+    demo.say(f"{name}: driving round every room, once each way (a minute and a half)")
+    start_driver(demo, "tour", "brisk")
     demo.programs.wait("driver", DRIVE_TIMEOUT_S)
     demo.station.call("POST", f"/navigations/{navigation}/stop")
     demo.say(f"{name}: driven; SLAM finds trajectory and landmarks (a quarter of a minute, more on a busy machine)")

@@ -140,7 +140,6 @@ class ControlDesk:
             "kind": route.kind,
             "points": route.points.round(4).tolist(),
             "start_yaw": route.start_yaw_rad,
-            "turns_round_at": route.turns_round_at,
             "length_m": route.length_m,
         }
 

@@ -94,7 +94,7 @@ class RecordedWorld:
     truth: Trajectory | None  # of the mapping drive
     drives: tuple[RecordedDrive, ...]
     cpu_s: dict[str, float] = field(default_factory=dict)  # what making it cost
-    is_looked_around: bool = True  # whoever mapped a simulated home turned once round in every room
+    is_mapped_both_ways: bool = True  # whoever mapped a simulated home went both ways round every room
     has_identical_twins: bool = False  # nothing within twin rooms tells them apart
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from robot.simulation.body import Body, MotionState
 from robot.simulation.config import Faults, SimulationConfig
-from robot.simulation.driver import TURN_RAD_S, RouteDriver
+from robot.simulation.driver import RouteDriver
 from robot.simulation.imaging import SimulatedCamera
 from robot.simulation.renderer import Renderer
 from robot.simulation.sensors import ImuModel
@@ -23,6 +23,7 @@ from tests.support.drives.routes import Plan
 START_NS = 1_000_000_000
 REST_S = 1.5  # stands still before and after the drive
 IMU_BATCH = 10
+TURN_RAD_S = 1.5  # commanded while turning on the spot; wheels slip to a third of it
 COMMAND_EVERY_TICKS = 15
 TRUTH_EVERY_TICKS = 9  # 25 Hz
 Sent = ImuBatch | DriveSample | ImageFrame

@@ -73,10 +73,11 @@ def without_rooms(world: World, names: set[str]) -> World:
     return replace(world, doors=doors, obstacles=(*world.obstacles, *filled))
 
 
-def mapping_route(world: World, left_out: str, seed: int) -> Route:
-    """Through every room but one, and back."""
+def mapping_route(world: World, left_out: str, seed: int, both_ways: bool = True) -> Route:
+    """Round every room but one, both ways or one, and back."""
     start = _spot(world, _mapped(world, left_out), seed)
-    return plan_route(without_rooms(world, {left_out}), "mapping", seed, start=start[:2])
+    kind = "tour" if both_ways else "mapping"
+    return plan_route(without_rooms(world, {left_out}), kind, seed, start=start[:2])
 
 
 def _mapped(world: World, left_out: str) -> list[str]:

@@ -17,7 +17,6 @@ from robot.simulation.config import SimulationConfig
 from robot.simulation.construction import built_camera
 from robot.simulation.recording import simulated_calibration
 from robot.simulation.renderer import Renderer
-from robot.simulation.routes import looking_around
 from robot.simulation.world import World
 from robot.simulation.worlds import make_world
 from shared.calibration import Calibration
@@ -69,7 +68,7 @@ class DriveOptions:
     plans: tuple[str, ...] = PLANS
     with_slam: bool = False  # a navigation is recorded meanwhile: SLAM gives odometry and a fit; needs all its frames
     max_seconds: float = MAX_MAPPING_S  # of the mapping drive
-    looks_around: bool = True  # the driver who maps turns once round in every room, as the page asks
+    both_ways: bool = True  # the driver who maps goes both ways round every room, as the page asks
     maps_all: bool = False  # no room is left out; drives are `TWIN_PLANS` then
     identical_twins: bool = False  # nothing within twin rooms tells them apart
 
@@ -97,7 +96,7 @@ def make_drives(kind: str, seed: int, misfit: Misfit, options: DriveOptions) -> 
         None,
         (),
         spent.cpu_s,
-        options.looks_around,
+        options.both_ways,
         options.identical_twins,
     )
     with spent.on("mapping"):
@@ -142,9 +141,7 @@ class SimulatedFlat:
     def mapped(self, left_out: str = "") -> MappedFlat:
         """Drive through all rooms but one, and map them with the `ukf` backend. Raises EstimationError if it cannot."""
         seed, name = self.world.seed, f"{self.world.name}-{self.world.seed}"
-        route = mapping_route(self.world, left_out, seed)
-        if self._options.looks_around:
-            route = looking_around(route, self.world)
+        route = mapping_route(self.world, left_out, seed, self._options.both_ways)
         robot = self.robot(Plan("mapping", route, None, self._options.max_seconds), seed)
         slam = RunningSlam(self.told, seed)
         for item in robot.sent(self._options.mapping_rate_hz):

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from collections import deque
-
 import numpy as np
 import pytest
 
-from robot.simulation.routes import looking_around
 from robot.simulation.worlds import make_world
 from shared.geometry import FloatArray
-from tests.support.drives.misfit import Misfit
 from tests.support.drives.routes import (
     PLANS,
     THROUGH,
     TWIN_PLANS,
     UNMAPPED,
-    Plan,
     beyond_door_m,
     mapping_route,
     plan_drive,
@@ -25,7 +20,6 @@ from tests.support.drives.routes import (
     spot_in_twin,
     twin_rooms,
 )
-from tests.support.drives.simulated import DriveOptions, SimulatedFlat
 
 FLATS = [("small", 3), ("home", 3), ("lookalike", 2)]  # of small 3 the room left out is the largest part
 
@@ -42,22 +36,6 @@ def test_the_mapping_route_goes_through_every_room_but_one(kind: str, seed: int)
     route = mapping_route(world, left_out, seed)
     assert rooms_on(route.points, kind, seed) == {r.name for r in world.rooms} - {left_out}
     assert np.linalg.norm(route.points[0] - route.points[-1]) < 0.1
-
-
-def test_whoever_maps_turns_once_round_in_every_room_but_one() -> None:
-    flat = SimulatedFlat("small", 3, Misfit(), DriveOptions())
-    left_out = room_left_out(flat.world)
-    route = looking_around(mapping_route(flat.world, left_out, 3), flat.world)
-    spots = route.points[list(route.turns_round_at)]
-    assert sorted(flat.world.room_at(*p) for p in spots) == sorted({r.name for r in flat.world.rooms} - {left_out})
-    robot = flat.robot(Plan("mapping", route, None, 600.0), 1)
-    deque(robot.sent(frame_rate_hz=0.001), maxlen=0)  # the whole drive
-    T = robot.truth.T_world_body
-    turned = np.abs(np.diff(np.unwrap(np.arctan2(T[:, 1, 0], T[:, 0, 0]))))
-    for spot in spots:
-        is_there = np.hypot(*(T[1:, :2, 3] - spot).T) < 0.25
-        assert turned[is_there].sum() > 1.9 * np.pi
-    assert np.hypot(*(T[-1, :2, 3] - route.points[-1])) < 0.3
 
 
 @pytest.mark.parametrize("name", PLANS)

@@ -12,10 +12,10 @@ export class Guide {
     const navigations = [...library.navigations.values()];
     const hasNavigation = navigations.some((n) => n.state === "ready");
     const recordHow = library.recording
-      ? "Drive slowly through every room, turn once round in each, and come back. Then press Stop recording."
+      ? "Drive slowly round every room, once to the left and once to the right, and come back. Then press Stop recording."
       : navigations.some((n) => n.state === "finishing")
         ? "The recording has ended, and SLAM finishes it: below you see how far it is."
-        : "Press Record, drive slowly through every room, turn once round in each, and come back. Then stop.";
+        : "Press Record, drive slowly round every room, once to the left and once to the right, and come back. Then stop.";
     const hasMap = library.maps.length > 0;
     const isUsed = library.maps.some((m) => m.active);
     const elsewhere = "(elsewhere: `station serve --robot HOST:PORT`, or `--robot auto` to search the network)";
