@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.geometry import FloatArray, IntArray
+from station.places.rooms.lengths import WALL_M
 from station.places.rooms.rectangles import Rectangle
 from station.places.rooms.sides import DOOR_PIECES, LEAST_ODDS, PASSAGE_PIECES, Sides, gaps_of, passage_costs
-from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Surfaces
+from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Side, Surfaces
 from station.places.rooms.wall_model import WallModel
 
 THICK_M = 0.35  # a wall at most, and errors of both its faces
@@ -24,6 +25,14 @@ class Passage:
 
     a: int
     b: int
+    ends: FloatArray  # (2, 2) m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Exit:
+    """A gap in a wall of a rectangle beside which there is none."""
+
+    a: int
     ends: FloatArray  # (2, 2) m
 
 
@@ -58,6 +67,45 @@ def find_borders(
             if (door_end - door_begin) * PIECE_M >= LEAST_DOOR_M:
                 passages.append(Passage(a, b, _line(surfaces, axis, across, door_begin, door_end)))
     return Borders(tuple(joined), lead, tuple(passages))
+
+
+def find_exits(
+    rectangles: Sequence[Rectangle], edges: FloatArray, surfaces: Surfaces, sides: Sides, model: WallModel
+) -> tuple[Exit, ...]:
+    """Doors in the walls that part rectangles from what nobody went into: in the middle of a thin wall.
+
+    Both faces of the wall have the gap: where only the near one has it, the wall stands farther out there.
+
+    Args:
+        edges: where the sides of the rectangles stand, the wall's near face.
+    """
+    shared = [{side: np.zeros(sides.odds[side].shape[1], dtype=np.bool_) for side in SIDES} for _ in rectangles]
+    for (a, first), (b, second), axis in _neighbours(rectangles):
+        low, high = _shared(first, second, axis)
+        shared[a][axis, -1][low:high] = shared[b][axis, 1][low:high] = True
+    exits = []
+    for a, r in enumerate(rectangles):
+        for k, side in enumerate(SIDES):
+            own = r.pieces(side[0])
+            for begin, end in gaps_of(shared[a][side][own]):
+                pieces = slice(own.start + begin, own.start + end)
+                odds, behind = sides.odds[side][r.plane(side), pieces], _behind(sides.odds[side], r.plane(side), side)
+                odds_of_wall, doors = wall_with_doors(odds, model)
+                middle = float(edges[a, k]) - 0.5 * WALL_M * side[1]
+                exits += [
+                    Exit(a, _line(surfaces, side[0], middle, pieces.start + first, pieces.start + last))
+                    for first, last in doors
+                    if odds_of_wall > 0
+                    and np.isfinite(odds[first:last]).all()  # nobody passed it
+                    and -behind[pieces][first:last].sum() > model.door
+                ]
+    return tuple(exits)
+
+
+def _behind(odds: FloatArray, plane: int, side: Side) -> FloatArray:
+    """(pieces,) of `odds` (planes, pieces) as far behind a side on a plane as a wall is thick; none out of the grid."""
+    k = plane - side[1] * round(THICK_M / LINE_M)
+    return odds[k] if 0 <= k < len(odds) else np.zeros(odds.shape[1])
 
 
 def wall_with_doors(odds: FloatArray, model: WallModel) -> tuple[float, list[tuple[int, int]]]:

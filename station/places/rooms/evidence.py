@@ -32,8 +32,7 @@ class Ground:
     cell: float  # map units
     unit: float  # map units per metre
     free: Cells  # seen through or driven through, and nothing stands there
-    driven: Cells
-    known: Cells  # the body was there, or comes there through nothing narrower than a door that it passed
+    space: Space  # on the same grid
     occupied: Cells
     visits: npt.NDArray[np.int64]  # (n, 2) cells of the body's path, in its order
 
@@ -75,8 +74,7 @@ def gather_evidence(navigation: Navigation, R_ground_map: FloatArray) -> Ground:
         cell=space.cell,
         unit=unit,
         free=free,
-        driven=space.driven,
-        known=space.known,
+        space=space,
         occupied=occupied & ~free,
         visits=visits,
     )

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from shared.geometry import FloatArray
-from station.places.rooms.borders import Passage, find_borders, rectangles_at, walls_of
+from station.places.rooms.borders import Exit, Passage, find_borders, find_exits, rectangles_at, walls_of
 from station.places.rooms.evidence import Ground
 from station.places.rooms.lengths import DOOR_M
 from station.places.rooms.rectangles import Rectangle, find_rectangles
@@ -19,7 +19,7 @@ from station.places.rooms.sides import Sides, weigh_sides
 from station.places.rooms.standing import standing_sides
 from station.places.rooms.surfaces import PIECE_M, SIDES, Surfaces
 from station.places.rooms.wall_model import WallModel
-from station.places.space.space import Cells
+from station.places.space.space import Cells, distance_to
 
 Labels = npt.NDArray[np.int32]  # (X, Y) 0: no room
 DRAWN_M = 0.15  # a drawn line parts this much free space
@@ -28,7 +28,7 @@ DOOR_MIDDLE_M = 0.5 * sum(DOOR_M)  # the width of a door that the body passed an
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gate:
-    """A door between two rooms, by their labels."""
+    """A door between two rooms, by their labels; 0 is none: what nobody went into."""
 
     a: int
     b: int
@@ -59,10 +59,12 @@ def part_rooms(
     room_of = _rooms_of(len(layout.edges), [*layout.joined, *gone])
     grid = (ground.low, ground.cell, ground.unit, ground.free.shape)
     lines = [line_cells(line, *grid) for line in drawn]
-    parted = parted_along(_labels(ground, layout.edges, room_of), lines)
+    known = ground.space.ending_at(e.ends * ground.unit for e in layout.exits).known
+    parted = parted_along(_labels(ground, known, layout.edges, room_of), lines)
     number = _in_order_of_entering(ground, parted)
     labels, count = number[parted], int(number.max(initial=0))
     gates = [_gate_of(labels, ground, p) for p in layout.passages if room_of[p.a] != room_of[p.b]]
+    gates += [Gate(int(number[room_of[e.a] + 1]), 0, e.ends * ground.unit) for e in layout.exits]
     gates += [gate for line, cells in zip(drawn, lines, strict=True) for gate in _drawn_gate(labels, line, cells)]
     found = _without_repeats([gate for gate in gates if gate is not None])
     certainty = np.ones(count)  # what a person drew is sure
@@ -79,6 +81,7 @@ class _Layout:
     edges: FloatArray  # (n, 4) of the rectangles
     joined: tuple[tuple[int, int], ...]  # pairs that nothing parts
     passages: tuple[Passage, ...]
+    exits: tuple[Exit, ...]
     leads: tuple[tuple[int, float], ...]  # nats: of what was decided about a rectangle before the contrary
     walls: FloatArray  # (W, 2, 2)
 
@@ -86,7 +89,7 @@ class _Layout:
 def _lay_out(surfaces: Surfaces | None, model: WallModel) -> _Layout:
     """The likeliest rectangles; none without evidence."""
     if surfaces is None:
-        return _Layout(np.zeros((0, 4)), (), (), (), np.zeros((0, 2, 2)))
+        return _Layout(np.zeros((0, 4)), (), (), (), (), np.zeros((0, 2, 2)))
     sides = weigh_sides(surfaces, model)
     packed = find_rectangles(surfaces, sides, model)
     edges = standing_sides(packed.rectangles, surfaces, sides, model)
@@ -95,7 +98,8 @@ def _lay_out(surfaces: Surfaces | None, model: WallModel) -> _Layout:
     passages = (*borders.passages, *unseen)
     leads = (*enumerate(packed.lead), *((k, lead) for pair, lead in borders.lead.items() for k in pair))
     walls = walls_of(packed.rectangles, edges, surfaces, sides, borders.joined)
-    return _Layout(edges, borders.joined, passages, leads, walls)
+    exits = find_exits(packed.rectangles, edges, surfaces, sides, model)
+    return _Layout(edges, borders.joined, passages, exits, leads, walls)
 
 
 def _leads(layout: _Layout, room_of: Sequence[int]) -> dict[int, float]:
@@ -160,14 +164,14 @@ def _rooms_of(count: int, joined: Iterable[tuple[int, int]]) -> list[int]:
     return room
 
 
-def _labels(ground: Ground, edges: FloatArray, room_of: Sequence[int]) -> Labels:
+def _labels(ground: Ground, known: Cells, edges: FloatArray, room_of: Sequence[int]) -> Labels:
     """Rectangles, and free space beside them that the map knows: of the nearest. Without a rectangle it is one room."""
     shape = ground.free.shape
     index = np.indices(shape).reshape(2, -1).T
     of = rectangles_at(edges, (ground.low + (index + 0.5) * ground.cell) / ground.unit)
     table = np.array([*(room + 1 for room in room_of), 0], dtype=np.int32)
     labels = table[of].reshape(shape)
-    beside = ground.free & ground.known & (labels == 0)
+    beside = ground.free & known & (labels == 0)
     if not len(edges):
         return np.asarray(beside, dtype=np.int32)
     nearest = ndimage.distance_transform_edt(labels == 0, return_distances=False, return_indices=True)
@@ -212,11 +216,7 @@ def _gate_of(labels: Labels, ground: Ground, passage: Passage) -> Gate | None:
 def line_cells(line: FloatArray, low: FloatArray, cell: float, unit: float, shape: tuple[int, ...]) -> Cells:
     """Cells within half of DRAWN_M of a line (2, 2)."""
     x, y = (low[k] + (np.arange(shape[k]) + 0.5) * cell for k in range(2))
-    p = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1) - line[0]
-    d = line[1] - line[0]
-    length = max(float(d @ d), 1e-12)
-    nearest = np.clip((p @ d) / length, 0.0, 1.0)
-    return np.asarray(np.hypot(*np.moveaxis(p - nearest[..., None] * d, -1, 0)) <= 0.5 * DRAWN_M * unit)
+    return np.asarray(distance_to(line, np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)) <= 0.5 * DRAWN_M * unit)
 
 
 def _is_same(ends: FloatArray, line: FloatArray) -> bool:

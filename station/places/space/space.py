@@ -11,7 +11,8 @@ and scales with the map.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -45,6 +46,7 @@ class Space:
     metre: float  # map units
     free: Cells  # seen through, or driven through
     driven: Cells  # of it: by the robot's body
+    at_hand: Cells  # of the path, and not seen to lie beyond a door
     known: Cells  # the part of it that belongs to the map, and what is at hand of the path
     seen: npt.NDArray[np.uint16]  # how many keyframes saw through each cell
 
@@ -55,7 +57,7 @@ class Space:
         path = (_path(navigation) @ R.T)[:, :2]
         if not len(path):
             none = np.zeros((0, 0), dtype=np.bool_)
-            return cls(R, np.zeros(2), 1.0, 1.0, none, none, none, np.zeros((0, 0), np.uint16))
+            return cls(R, np.zeros(2), 1.0, 1.0, none, none, none, none, np.zeros((0, 0), np.uint16))
         metre = units_per_metre(navigation)
         carving = Carving.around(path, metre, cell_m)
         for sight in sights(navigation, R, FARTHEST_M * metre):
@@ -73,10 +75,21 @@ class Space:
         driven = within(on_path, DRIVEN_M * metre / cell)
         free = (seen >= SEEN_BY) | driven
         at_hand_m = AT_HAND_M if has_wheels else CARRIED_AT_HAND_M
-        half_passage = 0.5 * PASSAGE_M * metre / cell
-        reached = reached_from(driven, free, half_passage)
-        known = reached | driven | (within(on_path, at_hand_m * metre / cell) & (seen < SEEN_BY))
-        return cls(R_ground_map, low, cell, metre, free, driven, closed(known, half_passage), seen)
+        at_hand = within(on_path, at_hand_m * metre / cell) & (seen < SEEN_BY)
+        return cls(R_ground_map, low, cell, metre, free, driven, at_hand, driven, seen).ending_at(())
+
+    def ending_at(self, lines: Iterable[FloatArray]) -> Space:
+        """The same where the map ends at these lines (2, 2) on the ground: doors that the path did not go through.
+
+        Who stands on such a line is in the map still.
+        """
+        half_passage = 0.5 * PASSAGE_M * self.metre / self.cell
+        shut = np.zeros_like(self.free)
+        for line in lines:
+            shut |= cells_on(line, self.low, self.cell, self.free.shape)
+        reached = reached_from(self.driven, self.free & ~shut, half_passage)
+        known = reached | (shut & self.free) | self.driven | self.at_hand
+        return replace(self, known=closed(known, half_passage))
 
     def knows(self, p_map: FloatArray) -> Cells:
         """(n,) whether positions (n, 3) lie where the map knows its way."""
@@ -107,6 +120,19 @@ def _path(navigation: Navigation) -> FloatArray:
     """(n, 3) finite positions of the cameras and of the body."""
     p = np.concatenate([navigation.keyframes.T_world_cam[:, :3, 3], navigation.trajectory.T_world_body[:, :3, 3]])
     return np.asarray(p[np.isfinite(p).all(axis=1)])
+
+
+def cells_on(line: FloatArray, low: FloatArray, cell: float, shape: tuple[int, ...]) -> Cells:
+    """Cells that a line (2, 2) leads through or by, so close that nothing gets through between them."""
+    x, y = (low[k] + (np.arange(shape[k]) + 0.5) * cell for k in range(2))
+    return np.asarray(distance_to(line, np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)) <= cell)
+
+
+def distance_to(line: FloatArray, p: FloatArray) -> FloatArray:
+    """(...,) of points (..., 2) to a line that ends (2, 2)."""
+    d = line[1] - line[0]
+    along = np.clip((p - line[0]) @ d / max(float(d @ d), 1e-12), 0.0, 1.0)
+    return np.asarray(np.linalg.norm(p - line[0] - along[..., None] * d, axis=-1))
 
 
 def within(cells: Cells, distance: float) -> Cells:

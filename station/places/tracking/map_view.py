@@ -37,7 +37,7 @@ class MapView:
         positions = place_map.navigation.keyframes.T_world_cam[:, :2, 3]
         size = np.ptp(positions, axis=0) / unit + 2.0 if len(positions) else np.array([2.0, 2.0])
         centroids = _centroids(place_map)
-        space = Space.of(place_map.navigation)
+        space = _space(place_map)
         return cls(
             place_map=place_map,
             centroids=centroids,
@@ -80,6 +80,16 @@ class MapView:
         )
         shares = np.bincount(index, minlength=count), np.bincount(np.unique(pairs) % count, minlength=count)
         return shares[0] / len(p_map), shares[1] / len(p_map)
+
+
+def _space(place_map: PlaceMap) -> Space:
+    """What the mapping navigation saw; it ends at doors that nobody went through."""
+    space = Space.of(place_map.navigation)
+    if place_map.plan is None:
+        return space
+    R = space.R_ground_map @ place_map.plan.R_ground_map.T
+    ends = [np.pad(door.ends, ((0, 0), (0, 1))) for door in place_map.plan.doors if door.rooms[1] is None]
+    return space.ending_at([(line @ R.T)[:, :2] for line in ends])
 
 
 def _centroids(place_map: PlaceMap) -> FloatArray:

@@ -11,13 +11,14 @@ import pytest
 from shared.geometry import FloatArray, se3, sim3, transform, yaw_rotation
 from station.model.floor_plan import FloorPlan, PlanEdits
 from station.model.navigation import Navigation
-from station.model.place_map import Place
+from station.model.place_map import Place, PlaceMap
 from station.places.rooms.axes import TURNS, turn_to_walls
 from station.places.rooms.belonging import rooms_of_places
 from station.places.rooms.plan import make_floor_plan
 from station.places.rooms.surfaces import Seen
 from station.places.rooms.wall_model import wall_model
-from tests.support.flats import DOOR, ELL, TWO_ROOMS, WAY_OF_ELL, WAY_OF_TWO, moved, navigate
+from station.places.tracking.map_view import MapView
+from tests.support.flats import DOOR, ELL, TWO_ROOMS, WAY_OF_ELL, WAY_OF_TWO, Wall, moved, navigate
 
 LEFT, RIGHT = np.array([[1.0, 3.0, 0.0]]), np.array([[7.0, 1.0, 0.0]])
 
@@ -50,6 +51,45 @@ def test_the_door_is_where_it_is_and_as_wide() -> None:
     assert door.ends.mean(axis=0) == pytest.approx(on_ground(plan_of_two(), DOOR)[0], abs=0.15)
     assert door.width == pytest.approx(0.9, abs=0.2)
     assert set(door.rooms) == {room.id for room in plan_of_two().rooms}
+
+
+@functools.cache
+def looked_into() -> PlaceMap:
+    """The left room; nobody went through its door, behind which a wall is to be seen."""
+    walls = [*(wall for wall in TWO_ROOMS if max(wall[0][0], wall[1][0]) <= 4.1), ((6.0, 1.0), (6.0, 3.0))]
+    navigation = navigate(walls, ((1.0, 2.8), (1.5, 1.0), (3.2, 1.2), (3.2, 2.7)))
+    return PlaceMap("m", "", navigation, (), (), {}, plan=make_floor_plan(navigation, ()))
+
+
+def test_a_door_that_nobody_went_through_leads_out_and_is_where_it_is() -> None:
+    plan = looked_into().plan
+    assert plan is not None
+    (door,) = plan.doors
+    assert door.rooms == (plan.rooms[0].id, None)
+    assert door.ends.mean(axis=0) == pytest.approx(on_ground(plan, DOOR)[0], abs=0.15)
+    assert door.width == pytest.approx(0.9, abs=0.2)
+
+
+def test_room_and_map_end_at_a_door_that_nobody_went_through() -> None:
+    plan, view = looked_into().plan, MapView.of(looked_into())
+    assert plan is not None
+    within, beyond = np.array([[3.7, 1.95, 0.1]]), np.array([[4.35, 1.95, 0.1]])
+    assert plan.rooms_at(within).tolist() == [0] and plan.rooms_at(beyond).tolist() == [-1]
+    assert view.space.knows(within).all() and not view.space.knows(beyond).any()
+    without_plan = MapView.of(replace(looked_into(), plan=None))
+    assert without_plan.space.knows(beyond).all(), "a disc as wide as a passage comes so far into a door"
+
+
+def test_a_niche_is_no_way_out() -> None:
+    walls: list[Wall] = [
+        ((0.0, 0.0), (4.0, 0.0)), ((0.0, 9.0), (4.0, 9.0)), ((0.0, 0.0), (0.0, 9.0)),
+        ((4.0, 0.0), (4.0, 4.0)), ((4.0, 5.0), (4.0, 9.0)), ((4.3, 4.0), (4.3, 5.0)),
+    ]  # fmt: skip
+    assert not make_floor_plan(navigate(walls, ((1.0, 7.8), (1.5, 4.5), (3.2, 4.2), (2.2, 1.5))), ()).doors
+
+
+def test_a_door_that_was_passed_is_no_way_out() -> None:
+    assert all(door.rooms[1] is not None for door in plan_of_two().doors)
 
 
 def test_walls_run_where_landmarks_line_up() -> None:
