@@ -19,7 +19,8 @@ LIVING_ROOM = {"id": "room-l", "name": "Living room", "probability": 0.93}
 CHILD = {"id": "room-k", "name": "Child's room", "probability": 0.9}
 Told = dict[str, Any]
 SOFA = {"id": "place-1", "name": "Sofa"}
-AT_SOFA: Told = {"place": SOFA, "place_room": "room-l"}
+AT_SOFA: Told = {"place": SOFA, "place_room": "room-l", "place_elsewhere": False}
+OF_VISIT = ("place", "place_room", "place_elsewhere", "room")
 
 
 async def planned_page(room: Room, told: Told, **options: Any) -> Page:
@@ -33,7 +34,7 @@ async def planned_page(room: Room, told: Told, **options: Any) -> Page:
             if event["type"] == "place" and event["place"]["t_robot_ns"] is not None:
                 event["place"] |= told
                 if event["visit"]:
-                    event["visit"] |= {name: told[name] for name in ("place", "place_room", "room") if name in told}
+                    event["visit"] |= {name: told[name] for name in OF_VISIT if name in told}
             socket.send(json.dumps(event))
 
         station.on_message(pass_on)
@@ -48,7 +49,9 @@ async def planned_page(room: Room, told: Told, **options: Any) -> Page:
 
 
 def place_of(name: str, room_id: str | None) -> Told:
-    return {"place": {"id": "place-1", "name": name}, "place_room": room_id}
+    """Near it, in the living room."""
+    is_elsewhere = room_id not in (None, "room-l")
+    return {"place": {"id": "place-1", "name": name}, "place_room": room_id, "place_elsewhere": is_elsewhere}
 
 
 async def test_a_place_of_another_room_is_told_by_the_door_or_not_at_all(room: Room) -> None:
