@@ -10,6 +10,7 @@ import pytest
 from playwright.async_api import FloatRect, Page, WebSocketRoute, expect
 
 from tests.e2e.conftest import LAPTOP, Room
+from tests.support.link import until
 from tests.support.station import store_planned_map
 
 pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="module")]
@@ -111,6 +112,7 @@ async def test_what_an_answer_withholds_is_not_shown_as_sure(room: Room) -> None
     await expect(page.locator(".plan-robot.known .body")).to_have_count(1)
 
 
+IS_CUT = "id => { const e = document.getElementById(id); return e.scrollHeight > e.clientHeight + 1; }"
 SAID: dict[str, Told] = {
     "a room and a place": {**AT_SOFA},
     "no place": {"place": None, "state": "lost"},
@@ -152,15 +154,32 @@ async def test_a_tap_on_a_phone_shows_what_is_cut_and_moves_nothing(room: Room) 
     told: Told = {"room": LIVING_ROOM | {"name": LONG}, **AT_SOFA, "reason": f"{LONG} {LONG} {LONG}"}
     page = await planned_page(room, told, **SMALL_PHONE)
     await expect(page.locator("#place-name")).to_have_text(LONG)
-    is_cut = "id => { const e = document.getElementById(id); return e.scrollHeight > e.clientHeight + 1; }"
     before = await page.evaluate(WHERE)
-    assert await page.evaluate(is_cut, "place-reason")
+    assert await page.evaluate(IS_CUT, "place-reason")
     await page.locator("#place").tap()
     for text in ("place-name", "place-at-name", "place-reason"):
-        assert not await page.evaluate(is_cut, text)
+        assert not await page.evaluate(IS_CUT, text)
     assert await page.evaluate(WHERE) == before
     await page.locator("#place").tap()
-    assert await page.evaluate(is_cut, "place-reason")
+    assert await page.evaluate(IS_CUT, "place-reason")
+
+
+async def test_the_keyboard_shows_what_is_cut_and_space_stays_stop(room: Room) -> None:
+    told: Told = {"room": LIVING_ROOM | {"name": LONG}, **AT_SOFA, "reason": f"{LONG} {LONG} {LONG}"}
+    page = await planned_page(room, told, **SMALL_PHONE)
+    await expect(page.locator("#place-name")).to_have_text(LONG)
+    card = page.get_by_role("button", name="Whole answer")
+    while await page.evaluate("document.activeElement.id") != "place-whole":
+        await page.keyboard.press("Tab")
+    await expect(card).to_have_attribute("aria-expanded", "false")
+    for is_whole in ("true", "false"):
+        await page.keyboard.press("Enter")
+        await expect(card).to_have_attribute("aria-expanded", is_whole)
+        assert await page.evaluate(IS_CUT, "place-reason") == (is_whole == "false")
+    stops = room.bench.stops_heard
+    await page.keyboard.press("Space")
+    await until(lambda: room.bench.stops_heard > stops)
+    await expect(card).to_have_attribute("aria-expanded", "false")
 
 
 async def test_a_name_of_eighty_letters_stays_in_its_room_and_is_whole_beside_the_pointer(room: Room) -> None:
