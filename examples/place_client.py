@@ -59,7 +59,7 @@ def sentence(answer: dict[str, Any]) -> str:
     """The answer as a person would say it."""
     place, room = answer["place"], answer["room"]
     words = [f"in {room['name']} ({room['probability']:.0%})"] if room else []
-    if place and (not room or answer["place_room"] in (None, room["id"])):  # else the nearest place is another room's
+    if place and not answer["place_elsewhere"]:  # else it is another room's, behind a door
         away = "" if answer["distance_m"] is None else f", {answer['distance_m']:.1f} m from its middle"
         words.append(f"at {place['name']} ({answer['probability']:.0%}{away})")
     return f"{', '.join(words) or answer['state']}: {answer['reason']}"

@@ -29,11 +29,10 @@ from station.library.comparisons import Comparisons, summarise
 from station.library.maps import Maps
 from station.library.navigation_records import NavigationLibrary, NavigationRecord
 from station.library.navigations import Navigations
-from station.library.place_changes import PlacesChange
+from station.library.place_changes import PlacesChange, PlacesEdit
 from station.library.recordings import follow_elsewhere, recover_recordings, retain_recordings
-from station.model.floor_plan import Room
 from station.model.map_store import MapSummary, StoreAddress
-from station.model.place_map import Place, PlaceGrain
+from station.model.place_map import PlaceGrain
 from station.places.making.config import PlacesMode
 from station.recordings.recorder import Recorder
 from station.robots.guided_calibration import CalibrationSession
@@ -392,50 +391,52 @@ class Station:
             self.events.notify("map", text, "warning")
         self.events.changed("bin")
 
-    async def rename_place(self, place_id: str, name: str) -> Place:
+    async def rename_place(self, place_id: str, name: str) -> PlacesEdit:
         """Raises Conflict, Unknown, DataError."""
-        place = await self.maps.rename_place(place_id, name)
+        edit = await self.maps.rename_place(place_id, name)
         self._regroup()
-        return place
+        return edit
 
-    async def hide_place(self, place_id: str, hidden: bool) -> Place:
+    async def hide_place(self, place_id: str, hidden: bool) -> PlacesEdit:
         """Never answer with this place, or do again. Raises Conflict, Unknown, DataError."""
-        place = await self.maps.hide_place(place_id, hidden)
+        edit = await self.maps.hide_place(place_id, hidden)
         self._regroup()
-        self.events.notify("map", f"{place.name} is {'hidden' if hidden else 'shown again'}")
-        return place
+        self.events.notify("map", f"{edit.active.place(place_id).name} is {'hidden' if hidden else 'shown again'}")
+        return edit
 
-    async def merge_places(self, place_ids: list[str]) -> Place:
+    async def merge_places(self, place_ids: list[str]) -> PlacesEdit:
         """Several places become the first of them. Raises Conflict, Unknown, DataError."""
-        place = await self.maps.merge_places(place_ids)
+        edit = await self.maps.merge_places(place_ids)
         self._regroup()
-        self.events.notify("map", f"{len(set(place_ids))} places are {place.name} now")
-        return place
+        self.events.notify("map", f"{len(set(place_ids))} places are {edit.active.place(place_ids[0]).name} now")
+        return edit
 
-    async def rename_room(self, room_id: str, name: str | None) -> Room:
+    async def rename_room(self, room_id: str, name: str | None) -> PlacesEdit:
         """None: as a room is called that nobody named. Raises Conflict, Unknown, DataError."""
-        room = await (self.maps.take_room_name_back(room_id) if name is None else self.maps.rename_room(room_id, name))
+        edit = await (self.maps.take_room_name_back(room_id) if name is None else self.maps.rename_room(room_id, name))
         self._regroup()
-        return room
+        return edit
 
-    async def merge_rooms(self, room_ids: list[str]) -> Room:
+    async def merge_rooms(self, room_ids: list[str]) -> PlacesEdit:
         """Several rooms become the first of them. Raises Conflict, Unknown, DataError."""
-        room = await self.maps.merge_rooms(room_ids)
+        edit = await self.maps.merge_rooms(room_ids)
         self._regroup()
-        self.events.notify("map", f"{len(set(room_ids))} rooms are {room.name} now")
-        return room
+        self.events.notify("map", f"{len(set(room_ids))} rooms are {edit.active.room(room_ids[0]).name} now")
+        return edit
 
-    async def split_room(self, line: FloatArray) -> None:
+    async def split_room(self, line: FloatArray) -> PlacesEdit:
         """Draw a door. Raises Conflict, DataError."""
-        await self.maps.split_room(line)
+        edit = await self.maps.split_room(line)
         self._regroup()
         self.events.notify("map", "a door was drawn")
+        return edit
 
-    async def erase_door(self, door_id: str) -> None:
+    async def erase_door(self, door_id: str) -> PlacesEdit:
         """Two rooms become one. Raises Conflict, Unknown, DataError."""
-        await self.maps.erase_door(door_id)
+        edit = await self.maps.erase_door(door_id)
         self._regroup()
         self.events.notify("map", "a door was erased")
+        return edit
 
     async def undo_places(self, version: int | None) -> PlacesChange:
         """Take back the newest change of places or rooms. Raises Conflict."""

@@ -10,6 +10,7 @@ from pydantic import TypeAdapter
 
 from shared.bounded import shown
 from station.api.deps import RobotDep, StationDep
+from station.api.edits import VERSION, tell_version
 from station.api.prepared import Prepared
 from station.api.problems import responses
 from station.api.schema.jobs import JobModel
@@ -109,11 +110,12 @@ async def place(place_id: str, station: StationDep) -> PlaceModel:
     return place_model(active, active.place(place_id))
 
 
-@router.post("/places/merge", summary="Make several places one", responses=responses(404, 409))
-async def merge(order: PlaceMerge, station: StationDep) -> PlaceModel:
+@router.post("/places/merge", summary="Make several places one", responses={**VERSION, **responses(404, 409)})
+async def merge(order: PlaceMerge, station: StationDep, response: Response) -> PlaceModel:
     """The place keeps id and name of the first one; the others are gone. POST /places/undo takes it back."""
-    merged = await station.merge_places(order.places)
-    return place_model(station.maps.active.require_first(), merged)
+    edit = await station.merge_places(order.places)
+    tell_version(response, edit)
+    return place_model(edit.active, edit.active.place(order.places[0]))
 
 
 @router.post("/places/undo", summary="Take back the newest change of places or rooms", responses=responses(409))
@@ -133,16 +135,22 @@ async def measure(station: StationDep) -> JobModel:
     return JobModel.of(station.measure_places())
 
 
-@router.patch("/places/{place_id}", summary="Rename, hide or show a place", responses=responses(404, 409))
-async def change(place_id: str, change: PlaceChange, station: StationDep) -> PlaceModel:
-    """A hidden place is never the current one and not in the graph; it keeps its name."""
+@router.patch(
+    "/places/{place_id}", summary="Rename, hide or show a place", responses={**VERSION, **responses(404, 409)}
+)
+async def change(place_id: str, change: PlaceChange, station: StationDep, response: Response) -> PlaceModel:
+    """A hidden place is never the current one and not in the graph; it keeps its name. Both at once are two changes."""
     active = station.maps.active.require_first()
     place = active.place(place_id)
     if change.name is not None:
-        place = await station.rename_place(place_id, change.name)
+        edit = await station.rename_place(place_id, change.name)
+        tell_version(response, edit)
+        active, place = edit.active, edit.active.place(place_id)
     if change.hidden is not None and change.hidden != place.hidden:
-        place = await station.hide_place(place_id, change.hidden)
-    return place_model(station.maps.active.require_first(), place)
+        edit = await station.hide_place(place_id, change.hidden)
+        tell_version(response, edit)
+        active, place = edit.active, edit.active.place(place_id)
+    return place_model(active, place)
 
 
 @router.get(

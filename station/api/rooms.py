@@ -10,6 +10,7 @@ import numpy as np
 from fastapi import APIRouter, Query, Response
 
 from station.api.deps import StationDep
+from station.api.edits import VERSION, tell_version
 from station.api.prepared import Prepared
 from station.api.problems import responses
 from station.api.schema.rooms import (
@@ -21,7 +22,7 @@ from station.api.schema.rooms import (
     floor_plan_model,
     room_model,
 )
-from station.app import Station
+from station.library.active_maps import ActiveMap
 from station.model.floor_plan import FloorPlan
 from station.model.place_map import PlaceMap
 from station.places.making.changes import without_hidden
@@ -40,48 +41,52 @@ _PLAN = Prepared(lambda active: floor_plan_model(active).model_dump_json().encod
 
 @router.get("/rooms", summary="Rooms of the active map", responses=responses(409))
 async def rooms(station: StationDep) -> list[RoomModel]:
-    return _rooms(station)
+    return _rooms(station.maps.active.require_first())
 
 
 @router.get("/rooms/{room_id}", summary="One room", responses=responses(404, 409))
 async def room(room_id: str, station: StationDep) -> RoomModel:
-    return _room(station, room_id)
+    return _room(station.maps.active.require_first(), room_id)
 
 
-@router.patch("/rooms/{room_id}", summary="Name a room", responses=responses(404, 409))
-async def rename(room_id: str, new: NewRoomName, station: StationDep) -> RoomModel:
+@router.patch("/rooms/{room_id}", summary="Name a room", responses={**VERSION, **responses(404, 409)})
+async def rename(room_id: str, new: NewRoomName, station: StationDep, response: Response) -> RoomModel:
     """Names are unique in a map; null takes a room's name from it. POST /places/undo undoes it, like all of rooms."""
-    _room(station, room_id)
-    await station.rename_room(room_id, new.name)
-    return _room(station, room_id)
+    station.maps.active.require_first().require_plan()
+    edit = await station.rename_room(room_id, new.name)
+    tell_version(response, edit)
+    return _room(edit.active, room_id)
 
 
-@router.post("/rooms/merge", summary="Make several rooms one", responses=responses(404, 409))
-async def merge(order: RoomMerge, station: StationDep) -> RoomModel:
+@router.post("/rooms/merge", summary="Make several rooms one", responses={**VERSION, **responses(404, 409)})
+async def merge(order: RoomMerge, station: StationDep, response: Response) -> RoomModel:
     """Erases the doors between them; the room keeps id and name of the first one."""
     station.maps.active.require_first().require_plan()
-    merged = await station.merge_rooms(order.rooms)
-    return _room(station, merged.id)
+    edit = await station.merge_rooms(order.rooms)
+    tell_version(response, edit)
+    return _room(edit.active, order.rooms[0])
 
 
-@router.post("/rooms/split", summary="Draw a door", responses=responses(409))
-async def split(order: RoomSplit, station: StationDep) -> list[RoomModel]:
+@router.post("/rooms/split", summary="Draw a door", responses={**VERSION, **responses(409)})
+async def split(order: RoomSplit, station: StationDep, response: Response) -> list[RoomModel]:
     """A line right across a room, from wall to wall, makes two of it, now and in later plans of this map.
 
     The larger part keeps id and name; of a room that was made of several, the part that had them before. Answers all
     rooms as they are then.
     """
     station.maps.active.require_first().require_plan()
-    await station.split_room(np.array(order.line, dtype=np.float64))
-    return _rooms(station)
+    edit = await station.split_room(np.array(order.line, dtype=np.float64))
+    tell_version(response, edit)
+    return _rooms(edit.active)
 
 
-@router.delete("/doors/{door_id}", summary="Erase a door", responses=responses(404, 409))
-async def erase(door_id: str, station: StationDep) -> list[RoomModel]:
+@router.delete("/doors/{door_id}", summary="Erase a door", responses={**VERSION, **responses(404, 409)})
+async def erase(door_id: str, station: StationDep, response: Response) -> list[RoomModel]:
     """What it led to is one room with where it led from, now and in later plans. Answers all rooms as they are then."""
     station.maps.active.require_first().require_plan()
-    await station.erase_door(door_id)
-    return _rooms(station)
+    edit = await station.erase_door(door_id)
+    tell_version(response, edit)
+    return _rooms(edit.active)
 
 
 @router.get(
@@ -102,12 +107,10 @@ async def floorplan(
     return Response(await asyncio.to_thread(make, plan, without_hidden(active.place_map)), media_type=media_type)
 
 
-def _rooms(station: Station) -> list[RoomModel]:
-    active = station.maps.active.require_first()
+def _rooms(active: ActiveMap) -> list[RoomModel]:
     return [room_model(active, room) for room in active.require_plan().rooms]
 
 
-def _room(station: Station, room_id: str) -> RoomModel:
-    active = station.maps.active.require_first()
+def _room(active: ActiveMap, room_id: str) -> RoomModel:
     active.require_plan()
     return room_model(active, active.room(room_id))

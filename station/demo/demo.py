@@ -308,8 +308,7 @@ def hijack(demo: Demo) -> int:
 def ask(demo: Demo, told: str) -> tuple[Sample | None, str]:
     """One question for the current place; says it when the answer changed."""
     answer = demo.station.get("/place/current")
-    place, room = answer["place"], answer["room"]
-    is_elsewhere = bool(place and room) and answer["place_room"] not in (None, room["id"])
+    place, room, is_elsewhere = answer["place"], answer["room"], answer["place_elsewhere"]
     named = where(place["name"] if place else "", room["name"] if room else "", is_elsewhere)
     two = sorted(answer["one_of_two"], key=lambda one: str(one["name"]))  # of two alike either may be ahead
     words = named or (f"in {' or '.join(one['name'] for one in two)}" if two else answer["state"])

@@ -17,13 +17,12 @@ from station.events import Notifier
 from station.files.unwritable import Unwritable
 from station.library.active_maps import ActiveMap, ActiveMaps, numbered
 from station.library.map_choice import store_choice, stored_choice, why_not_together
-from station.library.place_changes import PlacesChange, changes_of, why_not_that_one
+from station.library.place_changes import PlacesChange, PlacesEdit, changes_of, why_not_that_one
 from station.maps.editing import tidy_name, with_place_renamed
 from station.maps.repair.purging import collect_garbage, purge, tidy_up
 from station.maps.store import MapStore
-from station.model.floor_plan import Room
 from station.model.map_store import MapSummary, StoreAddress
-from station.model.place_map import Place, PlaceMap
+from station.model.place_map import PlaceMap
 from station.places.localisation.index_path import forget_index
 from station.places.making.changes import with_place_hidden, with_places_merged
 from station.places.rooms.edits import (
@@ -159,7 +158,8 @@ class Maps:
         async with self._changing:
             await self._require(map_id)
             change = partial(replace, name=name)
-            place_map = await asyncio.to_thread(self._store.edit, map_id, change, f"the map is {name} now"[:MAX_WHY])
+            why = f"the map is {name} now"[:MAX_WHY]
+            place_map, _ = await asyncio.to_thread(self._store.edit, map_id, change, why)
             if self.active.find(map_id) is not None:
                 self._replace(place_map)
         self._events.changed("map")
@@ -171,50 +171,47 @@ class Maps:
             if self.active.find(map_id) is not None:
                 self._replace(await asyncio.to_thread(self._store.load, map_id))
 
-    async def rename_place(self, place_id: str, name: str) -> Place:
+    async def rename_place(self, place_id: str, name: str) -> PlacesEdit:
         """Raises Conflict, Unknown, or DataError for a name in use."""
         rename = partial(with_place_renamed, place_id=place_id, name=name)
-        return await self._change([place_id], rename, lambda places: f"{places[0].name} is {name.strip()} now")
+        return await self._edit(rename, lambda active: f"{active.place(place_id).name} is {name.strip()} now")
 
-    async def hide_place(self, place_id: str, hidden: bool) -> Place:
+    async def hide_place(self, place_id: str, hidden: bool) -> PlacesEdit:
         """Leave a place out of answers and graph, or show it again. Raises Conflict, Unknown."""
         hide = partial(with_place_hidden, place_id=place_id, hidden=hidden)
         become = "hidden" if hidden else "shown again"
-        return await self._change([place_id], hide, lambda places: f"{places[0].name} is {become}")
+        return await self._edit(hide, lambda active: f"{active.place(place_id).name} is {become}")
 
-    async def merge_places(self, place_ids: Sequence[str]) -> Place:
+    async def merge_places(self, place_ids: Sequence[str]) -> PlacesEdit:
         """Make several places one, which keeps id and name of the first. Raises Conflict, Unknown, DataError."""
-        merge = partial(with_places_merged, place_ids=place_ids)
-        return await self._change(
-            place_ids, merge, lambda places: f"{' and '.join(place.name for place in places)} are one"
+        return await self._edit(
+            partial(with_places_merged, place_ids=place_ids),
+            lambda active: f"{' and '.join(active.place(place_id).name for place_id in place_ids)} are one",
         )
 
-    async def rename_room(self, room_id: str, name: str) -> Room:
+    async def rename_room(self, room_id: str, name: str) -> PlacesEdit:
         """Raises Conflict, Unknown, or DataError for a name in use."""
         name = tidy_name(name, "a room's name")
         rename = partial(with_room_renamed, room_id=room_id, name=name)
-        changed = await self._edit(rename, lambda active: f"{active.room(room_id).name} is {name} now")
-        return changed.room(room_id)
+        return await self._edit(rename, lambda active: f"{active.room(room_id).name} is {name} now")
 
-    async def take_room_name_back(self, room_id: str) -> Room:
+    async def take_room_name_back(self, room_id: str) -> PlacesEdit:
         """The room is called as one that nobody named. Raises Conflict, Unknown, DataError."""
         forget = partial(with_name_taken_back, room_id=room_id)
-        changed = await self._edit(forget, lambda active: f"{active.room(room_id).name} has no name any more")
-        return changed.room(room_id)
+        return await self._edit(forget, lambda active: f"{active.room(room_id).name} has no name any more")
 
-    async def merge_rooms(self, room_ids: Sequence[str]) -> Room:
+    async def merge_rooms(self, room_ids: Sequence[str]) -> PlacesEdit:
         """Make several rooms one, which keeps id and name of the first. Raises Conflict, Unknown, DataError."""
-        changed = await self._edit(
+        return await self._edit(
             partial(with_rooms_merged, room_ids=room_ids),
             lambda active: f"{' and '.join(active.room(room_id).name for room_id in room_ids)} are one",
         )
-        return changed.room(room_ids[0])
 
-    async def split_room(self, line: FloatArray) -> ActiveMap:
+    async def split_room(self, line: FloatArray) -> PlacesEdit:
         """Draw a door along a line (2, 2) on the ground. Raises Conflict, DataError."""
         return await self._edit(partial(with_room_split, line=line), lambda _: "a door was drawn")
 
-    async def erase_door(self, door_id: str) -> ActiveMap:
+    async def erase_door(self, door_id: str) -> PlacesEdit:
         """Make one room of those that it leads to. Raises Conflict, Unknown, DataError."""
 
         def why(active: ActiveMap) -> str:
@@ -223,19 +220,13 @@ class Maps:
 
         return await self._edit(partial(with_door_erased, door_id=door_id), why)
 
-    async def _change(
-        self, place_ids: Sequence[str], change: Callable[[PlaceMap], PlaceMap], why: Callable[[Sequence[Place]], str]
-    ) -> Place:
-        """Change places of the active map; the first of them as it is then."""
-        changed = await self._edit(change, lambda active: why([active.place(place_id) for place_id in place_ids]))
-        return changed.place(place_ids[0])
-
-    async def _edit(self, change: Callable[[PlaceMap], PlaceMap], why: Callable[[ActiveMap], str]) -> ActiveMap:
+    async def _edit(self, change: Callable[[PlaceMap], PlaceMap], why: Callable[[ActiveMap], str]) -> PlacesEdit:
         """Change the active map. `why` says what is done to it, and raises where that cannot be."""
         async with self._changing:
             active = self.active.require_first()
             said = why(active)[:MAX_WHY]
-            return self._replace(await asyncio.to_thread(self._store.edit, active.place_map.id, change, said))
+            place_map, version = await asyncio.to_thread(self._store.edit, active.place_map.id, change, said)
+            return PlacesEdit(self._replace(place_map), version)
 
     async def changes(self) -> tuple[PlacesChange, ...]:
         """What people made of the active map's places and rooms, newest first: `undo` takes them. Raises Conflict."""
@@ -262,7 +253,8 @@ class Maps:
             to = changes[0].previous
             await asyncio.to_thread(self._store.undo, map_id, to, newest_is=history[0].number, keeps_name=True)
             keep = partial(with_suggestions_too, before=before)
-            self._replace(await asyncio.to_thread(self._store.edit, map_id, keep, "names are suggested as before"))
+            kept, _ = await asyncio.to_thread(self._store.edit, map_id, keep, "names are suggested as before")
+            self._replace(kept)
             return changes[0]
 
     def _replace(self, place_map: PlaceMap) -> ActiveMap:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from station.library.active_maps import ActiveMap
 from station.maps.record import MapRecord, same_places
 
 
@@ -16,6 +17,14 @@ class PlacesChange:
     previous: int  # the version that it changed
     why: str  # for a person
     changed_wall_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacesEdit:
+    """What somebody made of the active map just now."""
+
+    active: ActiveMap  # as it is then
+    version: int | None  # of the map, that the edit led to, for an undo of just that; None: it was so already
 
 
 def changes_of(history: Sequence[MapRecord]) -> tuple[PlacesChange, ...]:

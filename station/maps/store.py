@@ -61,17 +61,20 @@ class MapStore:
             raise DataError(f'map id "{place_map.id}" is no file name; use letters, digits, "-" and "_"')
         self.for_writing().save(place_map, why)
 
-    def edit(self, map_id: str, change: Callable[[PlaceMap], PlaceMap], why: str) -> PlaceMap:
-        """Change places, rooms or names of a map and return it. Two stations that edit at once keep both changes."""
+    def edit(self, map_id: str, change: Callable[[PlaceMap], PlaceMap], why: str) -> tuple[PlaceMap, int | None]:
+        """Change places, rooms or names of a map. Two stations that edit at once keep both changes.
+
+        Returns:
+            The map as it is then, and the version that the change led to; None: it was so already.
+        """
         contents = self.for_writing()
         with contents.bucket.adding(), contents.changing(map_id) as changing:
             record = self._present(changing.rows, map_id)
             place_map = change(read_map(record, contents.blobs))
             files = {**record.files, **contents.put(plan_files(place_map))}
             fresh = replace(describe_map(place_map, files), why=why)
-            if not same_content(record, fresh):
-                changing.append(fresh, record, "edited")
-        return place_map
+            version = None if same_content(record, fresh) else changing.append(fresh, record, "edited").number
+        return place_map, version
 
     def rebuild(
         self, built: PlaceMap, navigation_id: str, take_over: Callable[[PlaceMap, PlaceMap | None], PlaceMap], why: str

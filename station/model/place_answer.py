@@ -54,6 +54,14 @@ class RoomCandidate:
     probability: float
 
 
+def is_elsewhere(place_room: str | None, room: str | None) -> bool:
+    """Whether a place belongs to another room than this one, which is named; neither may be known. Ids.
+
+    It may be nearest all the same, behind a door or a thin wall.
+    """
+    return None not in (place_room, room) and place_room != room
+
+
 def where(place: str, room: str, is_elsewhere: bool = False) -> str:
     """Names of the place and the room in words, each empty where it is not known: "at Sofa in Living room".
 

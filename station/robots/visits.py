@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from station.events import Notifier
-from station.model.place_answer import PlaceAnswer, PlaceState, where
+from station.model.place_answer import PlaceAnswer, PlaceState, is_elsewhere, where
 
 MAX_VISITS = 200
 
@@ -25,6 +25,10 @@ class Visit:
     room_name: str
     start_wall_s: float
     end_wall_s: float
+
+    @property
+    def place_elsewhere(self) -> bool:
+        return is_elsewhere(self.place_room, self.room_id)
 
 
 class Visits:
@@ -64,9 +68,8 @@ class Visits:
         self._visits.append(visit)
         likeliest = place or room
         if likeliest is not None:
-            is_elsewhere = None not in (visit.place_room, visit.room_id) and visit.place_room != visit.room_id
-            words = where(visit.place_name, visit.room_name, is_elsewhere)
-            sure = room if room is not None and is_elsewhere else likeliest
+            words = where(visit.place_name, visit.room_name, visit.place_elsewhere)
+            sure = room if room is not None and visit.place_elsewhere else likeliest
             self._events.notify("place", f"{words} ({sure.probability:.0%})")
         elif last is not None:
             self._events.notify("place", answer.reason, "warning" if answer.state == "lost" else "info")

@@ -34,6 +34,9 @@ class Asked(NamedTuple):
     kwargs: dict[str, Any]
 
 
+CATCH_UP = Asked(None, Program.catch_up.__name__, (), {})
+
+
 class Reply(NamedTuple):
     """An answer, an error or an event as it travels."""
 
@@ -108,10 +111,9 @@ def run_worker(socket: socket.socket, name: str, head_start_s: float, program_na
         importance.end_head_start()
 
     program: Program = program_name.load()(emit)
-    can_catch_up = True
     while True:
-        can_catch_up = can_catch_up and _catch_up(pipe, program)
         try:
+            _catch_up(pipe, program)
             asked = pipe.receive()
         except (EOFError, OSError):
             return
@@ -126,15 +128,17 @@ def run_worker(socket: socket.socket, name: str, head_start_s: float, program_na
                 return
 
 
-def _catch_up(pipe: Pipe, program: Program) -> bool:
-    """Do what can wait until a request comes. False when that fails: it fails again where it is needed, and says so."""
-    try:
-        while not pipe.has_request() and program.catch_up():
-            pass
-    except Exception:
-        logger.exception("catching up failed")
-        return False
-    return True
+def _catch_up(pipe: Pipe, program: Program) -> None:
+    """Do what can wait until a request comes. Where it fails that is told, and tried again after the next request.
+
+    Raises OSError when the station is gone.
+    """
+    is_more = True
+    while is_more and not pipe.has_request():
+        done = _run(program, CATCH_UP)
+        if not done.is_ok:
+            pipe.send(done)
+        is_more = done.is_ok and done.value
 
 
 def _run(program: Program, asked: Asked) -> Reply:

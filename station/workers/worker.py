@@ -62,7 +62,7 @@ class Worker(Generic[ProgramT, EventT]):
 
         Until its first event, at most for `head_start_s`, it runs as important as the station itself: a dead worker is
         soon replaced, however busy the others are.
-        `on_failure` hears in a sentence what a posted request raised: nobody waits for an answer to it.
+        `on_failure` hears in a sentence what a posted request or `catch_up` raised: nobody waits for an answer.
         """
         self.name = name
         self._program = program

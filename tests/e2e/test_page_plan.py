@@ -128,6 +128,26 @@ async def test_undo_that_is_pressed_before_a_door_is_erased_takes_the_erasing_ba
     await expect(page.locator("#undo-text")).to_contain_text(f"is {HALL} now")
 
 
+async def test_undo_that_is_pressed_before_a_door_is_erased_leaves_what_somebody_else_made_since(room: Room) -> None:
+    split = store_split_map(room.desk.station.config.data_dir)
+    page = await room.open()
+    await room.desk.http.put("/maps/active", json={"id": split.id})
+    await expect(page.locator(".plan-room")).to_have_count(2)
+
+    async def answer_when_another_change_was_made(route: Route) -> None:
+        await page.locator("#undo-places").click()
+        answer = await route.fetch()
+        kept = (await room.desk.http.get("/rooms")).json()[0]["id"]
+        await room.desk.http.patch(f"/rooms/{kept}", json={"name": HALL})  # by somebody else
+        await route.fulfill(response=answer)
+
+    await page.route(re.compile("/doors/"), answer_when_another_change_was_made)
+    await page.locator(".plan-door").first.press("Enter")
+    await page.locator("#toast").get_by_role("button", name="Erase").click()
+    await expect(page.locator("#toast")).to_contain_text(re.compile(f"^Meanwhile: .* is {HALL} now"))
+    assert [one["name"] for one in (await room.desk.http.get("/rooms")).json()] == [HALL]
+
+
 async def test_undo_while_the_list_of_changes_lags_behind_asks_about_the_newest_one(room: Room) -> None:
     planned = store_planned_map(room.desk.station.config.data_dir)
     page = await room.open()

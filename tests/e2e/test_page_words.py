@@ -10,6 +10,7 @@ import pytest
 from playwright.async_api import FloatRect, Page, WebSocketRoute, expect
 
 from tests.e2e.conftest import LAPTOP, Room
+from tests.support.link import until
 from tests.support.station import store_planned_map
 
 pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="module")]
@@ -19,7 +20,8 @@ LIVING_ROOM = {"id": "room-l", "name": "Living room", "probability": 0.93}
 CHILD = {"id": "room-k", "name": "Child's room", "probability": 0.9}
 Told = dict[str, Any]
 SOFA = {"id": "place-1", "name": "Sofa"}
-AT_SOFA: Told = {"place": SOFA, "place_room": "room-l"}
+AT_SOFA: Told = {"place": SOFA, "place_room": "room-l", "place_elsewhere": False}
+OF_VISIT = ("place", "place_room", "place_elsewhere", "room")
 
 
 async def planned_page(room: Room, told: Told, **options: Any) -> Page:
@@ -33,7 +35,7 @@ async def planned_page(room: Room, told: Told, **options: Any) -> Page:
             if event["type"] == "place" and event["place"]["t_robot_ns"] is not None:
                 event["place"] |= told
                 if event["visit"]:
-                    event["visit"] |= {name: told[name] for name in ("place", "place_room", "room") if name in told}
+                    event["visit"] |= {name: told[name] for name in OF_VISIT if name in told}
             socket.send(json.dumps(event))
 
         station.on_message(pass_on)
@@ -48,7 +50,9 @@ async def planned_page(room: Room, told: Told, **options: Any) -> Page:
 
 
 def place_of(name: str, room_id: str | None) -> Told:
-    return {"place": {"id": "place-1", "name": name}, "place_room": room_id}
+    """Near it, in the living room."""
+    is_elsewhere = room_id not in (None, "room-l")
+    return {"place": {"id": "place-1", "name": name}, "place_room": room_id, "place_elsewhere": is_elsewhere}
 
 
 async def test_a_place_of_another_room_is_told_by_the_door_or_not_at_all(room: Room) -> None:
@@ -108,6 +112,7 @@ async def test_what_an_answer_withholds_is_not_shown_as_sure(room: Room) -> None
     await expect(page.locator(".plan-robot.known .body")).to_have_count(1)
 
 
+IS_CUT = "id => { const e = document.getElementById(id); return e.scrollHeight > e.clientHeight + 1; }"
 SAID: dict[str, Told] = {
     "a room and a place": {**AT_SOFA},
     "no place": {"place": None, "state": "lost"},
@@ -149,15 +154,32 @@ async def test_a_tap_on_a_phone_shows_what_is_cut_and_moves_nothing(room: Room) 
     told: Told = {"room": LIVING_ROOM | {"name": LONG}, **AT_SOFA, "reason": f"{LONG} {LONG} {LONG}"}
     page = await planned_page(room, told, **SMALL_PHONE)
     await expect(page.locator("#place-name")).to_have_text(LONG)
-    is_cut = "id => { const e = document.getElementById(id); return e.scrollHeight > e.clientHeight + 1; }"
     before = await page.evaluate(WHERE)
-    assert await page.evaluate(is_cut, "place-reason")
+    assert await page.evaluate(IS_CUT, "place-reason")
     await page.locator("#place").tap()
     for text in ("place-name", "place-at-name", "place-reason"):
-        assert not await page.evaluate(is_cut, text)
+        assert not await page.evaluate(IS_CUT, text)
     assert await page.evaluate(WHERE) == before
     await page.locator("#place").tap()
-    assert await page.evaluate(is_cut, "place-reason")
+    assert await page.evaluate(IS_CUT, "place-reason")
+
+
+async def test_the_keyboard_shows_what_is_cut_and_space_stays_stop(room: Room) -> None:
+    told: Told = {"room": LIVING_ROOM | {"name": LONG}, **AT_SOFA, "reason": f"{LONG} {LONG} {LONG}"}
+    page = await planned_page(room, told, **SMALL_PHONE)
+    await expect(page.locator("#place-name")).to_have_text(LONG)
+    card = page.get_by_role("button", name="Whole answer")
+    while await page.evaluate("document.activeElement.id") != "place-whole":
+        await page.keyboard.press("Tab")
+    await expect(card).to_have_attribute("aria-expanded", "false")
+    for is_whole in ("true", "false"):
+        await page.keyboard.press("Enter")
+        await expect(card).to_have_attribute("aria-expanded", is_whole)
+        assert await page.evaluate(IS_CUT, "place-reason") == (is_whole == "false")
+    stops = room.bench.stops_heard
+    await page.keyboard.press("Space")
+    await until(lambda: room.bench.stops_heard > stops)
+    await expect(card).to_have_attribute("aria-expanded", "false")
 
 
 async def test_a_name_of_eighty_letters_stays_in_its_room_and_is_whole_beside_the_pointer(room: Room) -> None:

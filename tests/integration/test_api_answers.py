@@ -12,7 +12,7 @@ import websockets
 
 from station.maps.store import MapStore
 from station.places.making.repeatability import repeatability
-from tests.support.station import running_station, store_map
+from tests.support.station import DRAWN, running_station, store_map, store_split_map
 from tests.support.station_at_work import at_work, is_problem, keep_navigation, wait_for
 
 
@@ -119,6 +119,45 @@ async def test_undoing_a_change_of_places_leaves_the_maps_name(tmp_path: Path) -
             assert [m["name"] for m in (await desk.http.get("/maps")).json()] == ["Upstairs"]
         assert is_problem(await desk.http.post("/places/undo"), 409)
     assert MapStore(tmp_path / "maps").load(place_map.id).name == "Upstairs"
+
+
+async def test_every_edit_answers_its_version_for_an_undo_of_just_that(tmp_path: Path) -> None:
+    split = store_split_map(tmp_path)
+    place, other = (place.id for place in split.places[:2])
+    async with running_station(1, tmp_path) as desk:
+        http = desk.http
+        await http.put("/maps/active", json={"id": split.id})
+        first, second = (room["id"] for room in (await http.get("/rooms")).json())
+
+        async def newest_after(method: str, path: str, body: object = None) -> dict[str, Any]:
+            answer = await http.request(method, path, json=body)
+            newest: dict[str, Any] = (await http.get("/places/changes")).json()[0]
+            assert answer.headers["X-Change-Version"] == str(newest["version"]), path
+            return newest
+
+        await newest_after("PATCH", f"/places/{place}", {"name": "Sofa"})
+        await newest_after("PATCH", f"/places/{place}", {"hidden": True})
+        await newest_after("POST", "/places/merge", {"places": [place, other]})
+        await newest_after("PATCH", f"/rooms/{first}", {"name": "Hall"})
+        await newest_after("PATCH", f"/rooms/{first}", {"name": None})
+        await newest_after("POST", "/rooms/merge", {"rooms": [first, second]})
+        before = await newest_after("POST", "/rooms/split", {"line": DRAWN.tolist()})
+        (door,) = (await http.get("/floorplan")).json()["doors"]
+        newest = await newest_after("DELETE", f"/doors/{door['id']}")
+        refused = await http.post("/places/undo", json={"version": before["version"]})
+        assert is_problem(refused, 409) and newest["why"] in refused.json()["detail"]
+        undone = await http.post("/places/undo", json={"version": newest["version"]})
+        assert undone.json() == newest
+
+
+async def test_an_edit_that_changes_nothing_answers_no_version(tmp_path: Path) -> None:
+    place_map = store_map(tmp_path)
+    path = f"/places/{place_map.places[0].id}"
+    async with running_station(1, tmp_path) as desk:
+        await desk.http.put("/maps/active", json={"id": place_map.id})
+        assert "X-Change-Version" in (await desk.http.patch(path, json={"name": "Sofa"})).headers
+        for same in ({"name": "Sofa"}, {"hidden": False}):
+            assert "X-Change-Version" not in (await desk.http.patch(path, json=same)).headers
 
 
 async def test_the_way_from_one_place_to_another_is_told_by_name(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tests.support.made_up_workers import OneOfTwoRooms
+from tests.support.made_up_workers import BehindAWall, OneOfTwoRooms
 from tests.support.station import DRAWN, store_map, store_planned_map, store_split_map
 from tests.support.station_at_work import at_work, is_problem, wait_for
 
@@ -53,7 +53,18 @@ async def test_a_place_says_of_which_room_it_is_now_and_an_answer_whether_it_is_
         await desk.http.put("/maps/active", json={"id": planned.id})
         answer = await wait_for(desk, "/place/current", lambda a: a["place"])
         assert answer["place"].keys() == {"id", "name"} and answer["place_room"] == "room-l"
+        assert answer["place_elsewhere"] is False  # no room is named that it could belong to or not
         assert answer["withheld"] is False
+
+
+async def test_an_answer_and_a_visit_say_that_a_place_is_of_another_room_than_the_robot_is_in(tmp_path: Path) -> None:
+    planned = store_planned_map(tmp_path)
+    async with at_work(tmp_path, place_program=BehindAWall) as (desk, _, _):
+        await desk.http.put("/maps/active", json={"id": planned.id})
+        answer = await wait_for(desk, "/place/current", lambda a: a["place"])
+        visit = (await desk.http.get("/place/timeline")).json()[-1]
+        for said in (answer, visit):
+            assert (said["place_room"], said["room"]["id"], said["place_elsewhere"]) == ("room-l", "room-k", True)
 
 
 async def test_of_two_rooms_that_look_alike_both_are_told_and_none_is_named(tmp_path: Path) -> None:

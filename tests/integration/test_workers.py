@@ -23,6 +23,19 @@ class Puppet(Program):
 
     def __init__(self, emit: Callable[[Any], None]) -> None:
         self._emit = emit
+        self._idle: list[str] = []
+
+    def leave_for_later(self, *work: str) -> None:
+        self._idle += work
+
+    def catch_up(self) -> bool:
+        if not self._idle:
+            return False
+        work = self._idle.pop(0)
+        if work == "stumble":
+            self.stumble()
+        self._emit(work)
+        return True
 
     def niceness(self) -> int:
         return os.nice(0)
@@ -138,6 +151,18 @@ async def test_a_bug_is_raised_at_who_asks_and_said_of_what_was_posted() -> None
         worker.post(Puppet.stumble)
         await worker.call(Puppet.niceness)
     assert failures == ["stumble failed: ZeroDivisionError: a bug"]
+
+
+async def test_a_bug_in_work_that_could_wait_is_said_and_the_work_after_it_is_done() -> None:
+    failures: list[str] = []
+    heard: list[str] = []
+    async with started(on_failure=failures.append, on_event=heard.append) as worker:
+        await worker.call(Puppet.leave_for_later, "before", "stumble", "after")
+        await until(lambda: len(failures) == 1)
+        assert heard == ["before"]
+        await worker.call(Puppet.niceness)
+        await until(lambda: heard == ["before", "after"])
+    assert failures == ["catch_up failed: ZeroDivisionError: a bug"]
 
 
 async def test_calls_beyond_what_can_wait_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

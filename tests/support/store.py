@@ -21,12 +21,13 @@ from station.places.rooms.edits import with_room_renamed
 def rename_place(store: MapStore, map_id: str, place_id: str, name: str) -> PlaceMap:
     """Give a place another name, and return the map."""
     why = f"{place_id} is now {name.strip()}"
-    return store.edit(map_id, lambda place_map: with_place_renamed(place_map, place_id, name), why)
+    return store.edit(map_id, lambda place_map: with_place_renamed(place_map, place_id, name), why)[0]
 
 
 def rename_room(store: MapStore, map_id: str, room_id: str, name: str) -> PlaceMap:
     """Give a room a name, and return the map."""
-    return store.edit(map_id, lambda place_map: with_room_renamed(place_map, room_id, name), f"{room_id} is now {name}")
+    why = f"{room_id} is now {name}"
+    return store.edit(map_id, lambda place_map: with_room_renamed(place_map, room_id, name), why)[0]
 
 
 def content_hash(store: MapStore, map_id: str) -> str:

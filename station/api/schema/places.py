@@ -10,7 +10,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from station.api.schema.base import Model, Name, Question
 from station.library.active_maps import ActiveMap
-from station.model.place_answer import RoomCandidate
+from station.model.place_answer import RoomCandidate, is_elsewhere
 from station.model.place_map import Place, PlaceMap
 from station.model.points import NO_PLACE
 from station.places.making.graph import Route
@@ -23,8 +23,11 @@ class PlaceName(Model):
     name: str = Field(examples=["Kitchen"])
 
 
-PLACE_ROOM = Field(
-    description="id of the room that `place` is in; the robot may be in another, near a door", examples=["room-3f21aa"]
+PLACE_ROOM = Field(description="id of the room that `place` is in", examples=["room-3f21aa"])
+PLACE_ELSEWHERE = Field(
+    description="that is another room than `room`: the nearest place is behind a door or a thin wall. In a doorway the "
+    "robot is in both",
+    examples=[False],
 )
 
 
@@ -63,6 +66,7 @@ class CurrentPlace(Model):
     state: Literal["known", "unknown", "lost"]
     place: PlaceName | None
     place_room: str | None = PLACE_ROOM
+    place_elsewhere: bool = PLACE_ELSEWHERE
     probability: float = Field(
         description="that `place` is the nearest one or within 10 % of that; of the likeliest one while none is known",
         examples=[0.97],
@@ -114,6 +118,7 @@ class VisitModel(Model):
     state: Literal["known", "unknown", "lost"]
     place: PlaceName | None
     place_room: str | None = PLACE_ROOM
+    place_elsewhere: bool = PLACE_ELSEWHERE
     room: RoomName | None
     start_unix_s: float
     end_unix_s: float
@@ -221,6 +226,7 @@ def current_place(robot: RobotSession) -> CurrentPlace:
             state="unknown",
             place=None,
             place_room=None,
+            place_elsewhere=False,
             probability=0.0,
             distance_m=None,
             position_map=None,
@@ -250,6 +256,8 @@ def current_place(robot: RobotSession) -> CurrentPlace:
                 yield RoomProbability(id=c.id, name=room_names[c.id], probability=_probability(c.probability))
 
     likeliest = answer.place or (answer.alternatives[0] if answer.alternatives else None)
+    place_room = None if answer.place is None else known[answer.place.id][1].place_map.room_of(answer.place.id)
+    room = next(rooms_now(answer.room), None)
     is_metric = active.place_map.navigation.is_metric
     two = list(rooms_now(*answer.one_of_two))
     evidence_ns, keyframe = answer.evidence_t_robot_ns, answer.evidence_keyframe
@@ -257,7 +265,8 @@ def current_place(robot: RobotSession) -> CurrentPlace:
     return CurrentPlace(
         state=answer.state,
         place=None if answer.place is None else _name_of(known[answer.place.id][0]),
-        place_room=None if answer.place is None else known[answer.place.id][1].place_map.room_of(answer.place.id),
+        place_room=place_room,
+        place_elsewhere=is_elsewhere(place_room, room.id if room else None),
         probability=_probability(likeliest.probability if likeliest else 0.0),
         distance_m=answer.distance if is_metric else None,
         position_map=None if answer.position_map is None else [float(x) for x in answer.position_map],
@@ -271,7 +280,7 @@ def current_place(robot: RobotSession) -> CurrentPlace:
             if c.id in known
             for place, one in [known[c.id]]
         ],
-        room=next(rooms_now(answer.room), None),
+        room=room,
         room_alternatives=list(rooms_now(*answer.room_alternatives)),
         one_of_two=two if len(two) == 2 else [],  # not where they were made one meanwhile
         doorway=answer.doorway,

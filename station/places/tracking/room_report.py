@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import FloatArray
+from shared.geometry import FloatArray, IntArray
 from station.model.place_answer import RoomCandidate
 from station.places.tracking.belief import Belief, Hypothesis
 from station.places.tracking.config import BeliefConfig
@@ -98,8 +98,12 @@ class RoomReporter:
         candidates = tuple(self._candidate(int(i), float(found.tie[i])) for i in order)
         is_right = found.tie[order] >= self._config.known_from
         is_between = len(order) > 1 and bool(is_right[1])  # in a doorway both are right
-        two = self._one_of_two(found.recognised)
-        is_rivalled = bool(two) and not is_between and bool(found.apart[order[1]] >= EITHER)
+        pair = self._surely_one_of(found.recognised)
+        here = order[: 2 if is_between else 1]
+        rivals = np.setdiff1d(np.flatnonzero(found.apart >= EITHER), here)
+        is_rivalled = bool(len(pair)) and bool(len(rivals))
+        is_third = bool(len(np.setdiff1d(rivals, pair)))  # another one is possible, too: of this map, or of another
+        two = () if is_third else tuple(self._candidate(int(i), float(found.recognised[i])) for i in pair)
         # In a map of one room a robot that is lost in it is there, too: but nobody recognised it.
         if is_rivalled or belief.localised <= 0.5 or not len(order) or not is_right[0]:
             return RoomAnswer(alternatives=candidates, one_of_two=two, is_rivalled=is_rivalled)
@@ -107,18 +111,18 @@ class RoomReporter:
         doorway = None
         if is_between:
             other_map, other = self._located(int(order[1]))
-            view, here = self._views[map_index], [pair for pair in drawn if pair[0].map_index == map_index]
-            if other_map == map_index and view is not None and here:
-                _, p_map = max(here, key=lambda pair: pair[0].weight)
+            view, in_map = self._views[map_index], [one for one in drawn if one[0].map_index == map_index]
+            if other_map == map_index and view is not None and in_map:
+                _, p_map = max(in_map, key=lambda one: one[0].weight)
                 doorway = view.door_between(room, other, p_map.mean(axis=0))
         return RoomAnswer(map_index, candidates[0], candidates[1:], doorway=doorway)
 
-    def _one_of_two(self, recognised: FloatArray) -> tuple[RoomCandidate, ...]:
-        """The two rooms that are together as probable as one has to be, such as rooms that look alike; else none."""
+    def _surely_one_of(self, recognised: FloatArray) -> IntArray:
+        """Numbers of the two rooms that are together as probable as one has to be; or none."""
         two = np.argsort(-recognised, kind="stable")[:2]
         if len(two) < 2 or recognised[two[1]] < EITHER or recognised[two].sum() < self._config.known_from:
-            return ()
-        return tuple(self._candidate(int(i), float(recognised[i])) for i in two)
+            return two[:0]
+        return two
 
     def _candidate(self, number: int, probability: float) -> RoomCandidate:
         map_index, index = self._located(number)

@@ -92,7 +92,11 @@ def adjust(
         linear = _linearise(state, seen, motion, _whitened(state, seen, cauchy_px), order)
         improved = False
         for _ in range(4):
-            candidate = _step(state, linear, damping)
+            try:
+                candidate = _step(state, linear, damping)
+            except np.linalg.LinAlgError:  # they leave something open: it is held
+                damping *= 10.0
+                continue
             new_cost = _cost(candidate, seen, motion, cauchy_px)
             if new_cost < cost:
                 improved = True
@@ -256,13 +260,14 @@ def factored(S: csc_matrix) -> Callable[[FloatArray], FloatArray]:
         root = splu(S, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     except RuntimeError as exc:
         raise np.linalg.LinAlgError(str(exc)) from exc
-    if not (root.U.diagonal() > 0).all():
+    # A zero on the diagonal is not pivoted on either: rows change places then, and the signs of U say nothing.
+    if not ((root.perm_r == root.perm_c).all() and (root.U.diagonal() > 0).all()):
         raise np.linalg.LinAlgError("not positive definite")
     return root.solve
 
 
 def _step(state: BundleState, linear: _Linear, damping: float) -> BundleState:
-    """One damped Gauss-Newton step; landmarks are eliminated first (Schur complement)."""
+    """One damped Gauss-Newton step; landmarks are eliminated first (Schur complement). Raises LinAlgError."""
     n = len(state.R_world_body)
     reduced = _reduce(linear, damping)
     x = reduced.solve(-reduced.without_points(_gradient(linear), linear.g_point.ravel()))

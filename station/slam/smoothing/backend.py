@@ -30,6 +30,7 @@ from station.slam.smoothing.config import SmoothingConfig
 from station.slam.smoothing.fixed_lag import FixedLagWindow
 from station.slam.smoothing.keyframe import SmoothKeyframe
 from station.slam.smoothing.landmarks import LandmarkTable
+from station.slam.smoothing.newest import NewestInFilter
 from station.slam.smoothing.search import Recaller
 from station.slam.smoothing.view_adjuster import ViewAdjuster
 from station.slam.ukf.backend import UkfBackend
@@ -69,8 +70,7 @@ class SmoothingBackend:
         self._keyframes: list[SmoothKeyframe] = []
         self._window: FixedLagWindow | None = None
         self._recaller = Recaller(self._camera, self._config.recall)
-        self._T_filter = np.eye(4)  # of the newest keyframe, in the filter's world
-        self._T_clones: dict[int, FloatArray] = {}  # in the filter, at the newest frame
+        self._newest = NewestInFilter(np.eye(4))
         self._frames_since = 0
         self._all_still = True
         self._tables: dict[int, LandmarkTable] = {}
@@ -115,7 +115,7 @@ class SmoothingBackend:
             self._between.append(FrameBetween(frame.index, current.t_imu_ns, newest.number, T_newest_now))
         points = update.new_points_world
         if points is not None:
-            T = newest.T_world_body @ inverse(self._T_filter)  # of the filter's world
+            T = newest.T_world_body @ inverse(self._newest.T_filter)  # of the filter's world
             points = points @ T[:3, :3].T + T[:3, 3]
         if self._closer is not None:
             with self._odometry.one_thread():
@@ -153,19 +153,9 @@ class SmoothingBackend:
             memory.views.begin_anew(memory.keyframes.items)
 
     def _since_keyframe(self, state: FilterState) -> FloatArray:
-        """T_keyframe_now by the filter, both poses as it has them now.
-
-        A keyframe whose clone has left its window moves with the newest clone that was there beside it.
-        """
+        """T_keyframe_now (4, 4) by the filter."""
         assert self._window is not None
-        now = {int(f): se3(R, x) for f, R, x in zip(state.clone_frame, state.clone_R, state.clone_x, strict=True)}
-        keyframe = self._window.keyframes[-1].source.frame.index
-        if keyframe in now:
-            self._T_filter = now[keyframe]
-        elif (beside := max(now.keys() & self._T_clones.keys(), default=None)) is not None:
-            self._T_filter = now[beside] @ inverse(self._T_clones[beside]) @ self._T_filter
-        self._T_clones = now
-        return inverse(self._T_filter) @ state.T_world_body
+        return self._newest.moved(self._window.keyframes[-1].source.frame.index, state)
 
     # ---- keyframes
 
@@ -194,7 +184,7 @@ class SmoothingBackend:
                 current, state.T_world_body, state.v, state, state.omega_body, current.tracked, NOTHING
             )
             self._append(keyframe, current.frame.grey())
-        self._T_filter = state.T_world_body
+        self._newest = NewestInFilter(state.T_world_body)
         if self._config.closes_loops and memory.views is not None:
             self._closer = LoopCloser(
                 memory.views, memory.segment, self._pose_at, self._camera, self._noise, self._T_map_odom

@@ -34,6 +34,13 @@ export async function call<T>(method: string, path: string, body?: unknown): Pro
   return (answer.status === 204 ? null : await answer.json()) as T;
 }
 
+/** An edit of places or rooms: the version of the map that it led to; null: it was so already. */
+export async function edit(method: string, path: string, body?: unknown): Promise<number | null> {
+  const { headers } = await request(method, path, body);
+  const version = headers.get("X-Change-Version");
+  return version === null ? null : Number(version);
+}
+
 export async function fetchBytes(path: string): Promise<{ bytes: ArrayBuffer; source: string }> {
   const answer = await request("GET", path);
   return { bytes: await answer.arrayBuffer(), source: answer.headers.get("X-Source") ?? "" };

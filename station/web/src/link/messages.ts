@@ -273,8 +273,10 @@ export interface ComparisonOrder {
 export interface CurrentPlace {
   state: "known" | "unknown" | "lost";
   place: PlaceName | null;
-  /** id of the room that `place` is in; the robot may be in another, near a door */
+  /** id of the room that `place` is in */
   place_room: string | null;
+  /** that is another room than `room`: the nearest place is behind a door or a thin wall. In a doorway the robot is in both */
+  place_elsewhere: boolean;
   /** that `place` is the nearest one or within 10 % of that; of the likeliest one while none is known */
   probability: number;
   /** robot to the place's centroid; null without a metric map */
@@ -1032,8 +1034,10 @@ export interface UsedNoise {
 export interface VisitModel {
   state: "known" | "unknown" | "lost";
   place: PlaceName | null;
-  /** id of the room that `place` is in; the robot may be in another, near a door */
+  /** id of the room that `place` is in */
   place_room: string | null;
+  /** that is another room than `room`: the nearest place is behind a door or a thin wall. In a doorway the robot is in both */
+  place_elsewhere: boolean;
   room: RoomName | null;
   start_unix_s: number;
   end_unix_s: number;

@@ -30,8 +30,9 @@ export class PlaceView {
 
   constructor() {
     by("place-at").append(this.at, this.atSure);
-    by("place").addEventListener("click", ({ currentTarget: card }) => {
-      if (card instanceof HTMLElement) card.toggleAttribute("data-whole"); // on a phone, where long sentences are cut
+    const whole = by("place-whole"); // on a phone, where long sentences are cut
+    whole.addEventListener("click", () => {
+      whole.setAttribute("aria-expanded", String(by("place").toggleAttribute("data-whole")));
     });
   }
 

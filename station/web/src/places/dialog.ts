@@ -1,5 +1,5 @@
 // What can be done with one place.
-import { call } from "../link/api";
+import { edit } from "../link/api";
 import type { PlaceModel } from "../link/messages";
 import { askUntil, closingButtons } from "../ui/dialogs";
 import { by, make, present } from "../ui/dom";
@@ -29,7 +29,7 @@ export function openPlace(place: PlaceModel, others: PlaceModel[]): void {
     ...others.map((p) => make("option", { value: p.id }, p.name)),
   );
   const merge = button("Merge", () =>
-    undoable(() => call("POST", "/places/merge", { places: [place.id, select.value] })),
+    undoable(() => edit("POST", "/places/merge", { places: [place.id, select.value] })),
   );
   merge.disabled = true;
   select.addEventListener("change", () => (merge.disabled = !select.value));
@@ -57,9 +57,7 @@ export function openPlace(place: PlaceModel, others: PlaceModel[]): void {
 }
 
 async function renamePlace(place: PlaceModel): Promise<void> {
-  const save = async (name: string) => {
-    if (name !== place.name) await change(place, { name });
-  };
-  const name = await askUntil("Name this place", "Save", { label: "Name", value: place.name }, save);
-  if (name !== null && name !== place.name) await offerUndo();
+  const save = async (name: string) => (name === place.name ? null : change(place, { name }));
+  const version = await askUntil("Name this place", "Save", { label: "Name", value: place.name }, save);
+  if (version !== null) await offerUndo(version);
 }

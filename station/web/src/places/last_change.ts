@@ -12,7 +12,7 @@ interface Making {
 
 export class LastChange {
   private map: string | null = null;
-  private newest: PlacesChangeModel | null = null;
+  private changes: PlacesChangeModel[] = []; // newest first
   private making: Making | null = null;
   private isTakingBack = false;
   private readonly list = new Refresh(() => this.read());
@@ -23,25 +23,29 @@ export class LastChange {
 
   /** The map in use is another one, or changed; null: there is none. */
   showMap(id: string | null): Promise<void> {
-    if (id !== this.map) this.newest = null; // of another map
+    if (id !== this.map) this.changes = []; // of another map
     this.map = id;
     return this.list.ask();
   }
 
   /** Make a change, and offer for a while to take just that back. Undo that is pressed before it is made means it, too. */
-  async make(work: () => Promise<unknown>): Promise<void> {
+  async make(work: () => Promise<number | null>): Promise<void> {
     const making: Making = { isUnwanted: false };
     this.making = making;
     this.draw();
+    let version: number | null = null;
     try {
-      await work();
+      version = await work();
       await this.list.ask();
     } finally {
       if (this.making === making) this.making = null;
       this.draw();
     }
-    const made = this.newest;
-    if (!made) return;
+    const made = this.changes.find((change) => change.version === version);
+    if (!made) {
+      toast(version === null ? "Nothing was changed: it was so already." : "It was taken back already.");
+      return;
+    }
     if (!making.isUnwanted) {
       toast(`${made.why}.`, {
         label: "Undo",
@@ -55,7 +59,8 @@ export class LastChange {
   }
 
   private press(): void {
-    const { making, newest } = this;
+    const { making, changes } = this;
+    const [newest] = changes;
     if (making) {
       making.isUnwanted = true;
       this.draw();
@@ -82,7 +87,7 @@ export class LastChange {
 
   /** Somebody else was faster than the list that this page knew. */
   private tellWhatCameBetween(change: PlacesChangeModel): void {
-    const { newest } = this;
+    const [newest] = this.changes;
     if (newest && newest.version > change.version)
       toast(`Meanwhile: ${newest.why}.`, {
         label: "Undo",
@@ -98,7 +103,7 @@ export class LastChange {
     try {
       const changes = map === null ? [] : await call<PlacesChangeModel[]>("GET", "/places/changes");
       if (this.map !== map) return; // of another map, whose event asks again
-      this.newest = changes[0] ?? null;
+      this.changes = changes;
       this.draw();
     } catch (error) {
       if (this.map === map) throw error; // of a map that is left nobody wants to know
@@ -106,8 +111,9 @@ export class LastChange {
   }
 
   private draw(): void {
-    const { making, newest } = this;
-    show(by("undo"), making !== null || newest !== null);
+    const { making, changes } = this;
+    const [newest] = changes;
+    show(by("undo"), making !== null || newest !== undefined);
     const underWay = making?.isUnwanted ? "taken back as soon as it is made …" : "being made …";
     setText(by("undo-text"), making ? underWay : (newest?.why ?? ""));
   }

@@ -1,5 +1,5 @@
 // One room: its name, names that something seen speaks for, and rooms that it is one with.
-import { call } from "../link/api";
+import { call, edit } from "../link/api";
 import type { FloorPlanModel, NameSuggestionModel, PlanRoom, RoomModel } from "../link/messages";
 import { closingButtons } from "../ui/dialogs";
 import { by, make, present, setText } from "../ui/dom";
@@ -35,14 +35,15 @@ export async function openRoom(room: PlanRoom, plan: FloorPlanModel): Promise<vo
       dialog.close(); // it has no name, and shall have none
       return;
     }
+    let version: number | null = null;
     try {
-      if (text !== room.name || !room.named) await call("PATCH", `/rooms/${room.id}`, { name: text || null });
+      if (text !== room.name || !room.named) version = await edit("PATCH", `/rooms/${room.id}`, { name: text || null });
     } catch (error) {
       setText(why, sentence(error)); // the dialog stays, for another name
       return;
     }
     dialog.close();
-    await offerUndo();
+    if (version !== null) await offerUndo(version);
   };
   form.addEventListener("submit", (event) => {
     event.preventDefault();
@@ -133,7 +134,7 @@ function mergeRow(
   // The first one's name is kept: the pressed room's, unless only the other one was named by a person.
   const chosen = () => others.filter((r) => r.id === select.value);
   const inOrder = () => [room, ...chosen()].sort((a, b) => Number(b.named) - Number(a.named)).map((r) => r.id);
-  const merge = button("Merge", () => undoablePlan(() => call("POST", "/rooms/merge", { rooms: inOrder() })));
+  const merge = button("Merge", () => undoablePlan(() => edit("POST", "/rooms/merge", { rooms: inOrder() })));
   merge.disabled = true;
   select.addEventListener("change", () => (merge.disabled = !select.value));
   return make("div", { class: "row merge" }, make("label", { for: "one-room-with" }, "One room with"), select, merge);

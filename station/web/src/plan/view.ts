@@ -1,5 +1,5 @@
 // The floor plan of the map in use: what one looks at first, with the robot in it.
-import { call } from "../link/api";
+import { call, edit } from "../link/api";
 import type { CurrentPlace, DoorModel, FloorPlanModel, PlaceModel, PlanRoom } from "../link/messages";
 import { Refresh } from "../link/refresh";
 import { undoablePlan } from "../places/changes";
@@ -183,7 +183,7 @@ export class PlanView {
     }
     toast(`Door between ${a} and ${b}.`, {
       label: "Erase",
-      act: () => undoablePlan(() => call("DELETE", `/doors/${encodeURIComponent(door.id)}`)),
+      act: () => undoablePlan(() => edit("DELETE", `/doors/${encodeURIComponent(door.id)}`)),
     });
   }
 
@@ -202,6 +202,6 @@ export class PlanView {
 
   private drawDoor(line: [Point, Point]): void {
     this.takePen(false);
-    attempt(() => undoablePlan(() => call("POST", "/rooms/split", { line })));
+    attempt(() => undoablePlan(() => edit("POST", "/rooms/split", { line })));
   }
 }

@@ -23,15 +23,19 @@ export function askConsent(title: string, confirm: string, note: string, refuse 
   });
 }
 
-/** Ask for one text until it is taken: the dialog stays open, and says why, while `take` refuses. Null: gave up. */
-export function askUntil(
+/**
+ * Ask for one text until it is taken: the dialog stays open, and says why, while `take` refuses. What `take` answered;
+ * null: gave up.
+ */
+export function askUntil<T>(
   title: string,
   confirm: string,
   field: { label: string; value: string },
-  take: (text: string) => Promise<void>,
-): Promise<string | null> {
+  take: (text: string) => Promise<T>,
+): Promise<T | null> {
   const dialog = by("ask", HTMLDialogElement);
   return new Promise((resolve) => {
+    let taken: T | null = null;
     const why = make("p", { class: "note bad", role: "alert", id: "ask-why" });
     const input = make("input", { value: field.value, maxlength: "80", required: true, "aria-describedby": "ask-why" });
     const yes = make("button", { type: "submit", class: "primary" }, confirm);
@@ -52,7 +56,10 @@ export function askUntil(
       event.preventDefault();
       yes.disabled = true;
       take(input.value.trim()).then(
-        () => dialog.open && form.isConnected && dialog.close("yes"),
+        (answer) => {
+          taken = answer;
+          if (dialog.open && form.isConnected) dialog.close("yes");
+        },
         (error: unknown) => {
           setText(why, sentence(error));
           yes.disabled = false;
@@ -60,7 +67,7 @@ export function askUntil(
         },
       );
     });
-    open(dialog, title, form, () => resolve(dialog.returnValue === "yes" ? input.value.trim() : null));
+    open(dialog, title, form, () => resolve(taken));
     input.select();
   });
 }

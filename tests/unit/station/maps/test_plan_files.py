@@ -79,7 +79,7 @@ def test_a_map_without_a_plan_is_written_as_it_was_before_there_were_plans(store
 
 def test_undo_brings_an_earlier_plan_back(planned: PlaceMap, store: MapStore) -> None:
     store.save(planned)
-    changed = store.edit(planned.id, without_wall, "a wall is gone")
+    changed, _ = store.edit(planned.id, without_wall, "a wall is gone")
     assert_same_plan(store.load(planned.id), changed)
     store.undo(planned.id)
     assert_same_plan(store.load(planned.id), planned)

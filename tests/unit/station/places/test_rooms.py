@@ -92,6 +92,18 @@ def test_a_room_and_a_place_are_named_where_no_other_room_was_recognised_to_spea
     assert {room.id for room in answer.one_of_two} == (set() if is_named else {"room-l", "room-k"})
 
 
+@pytest.mark.parametrize(("third", "is_pair"), [(0.12, False), (0.06, True)])
+def test_it_is_one_of_two_rooms_only_where_no_third_one_is_possible(third: float, is_pair: bool) -> None:
+    maps = [MapView.of(one) for one in (flat(), replace(flat(), id="other"))]
+    at = ((0, pose(0.0, 0.0), 0.85 - third), (0, pose(5.0, 0.2), 0.15), (1, pose(5.0, 0.2), third))
+    hypotheses = tuple(Hypothesis(i, T, 1.0, 0.1, 0.1, weight, 0, 0, 0) for i, T, weight in at)
+    answer = Reporter(maps, BeliefConfig(), seed=0).answer(
+        Belief(hypotheses, lost=0.0, unmapped=0.0), np.eye(4), SECOND, Past("", True)
+    )
+    assert (answer.state, answer.room) == ("lost", None)
+    assert bool(answer.one_of_two) is is_pair
+
+
 def test_one_pose_beside_a_door_is_in_the_room_that_has_most_of_it() -> None:
     """It spreads through the door, but nothing looks alike."""
     hypothesis = Hypothesis(0, pose(2.6, 0.0), 1.0, 0.3, 0.1, 1.0, 0, 0, 0)
@@ -99,6 +111,22 @@ def test_one_pose_beside_a_door_is_in_the_room_that_has_most_of_it() -> None:
     answer = reporter.answer(Belief((hypothesis,), lost=0.0, unmapped=0.0), np.eye(4), SECOND, Past("", True))
     assert answer.one_of_two == ()
     assert [room.id for room in (answer.room,) if room] == ["room-l"]
+
+
+@pytest.mark.parametrize(("other", "is_named"), [(0.15, False), (0.05, True)])
+def test_in_a_doorway_nothing_is_named_while_another_map_is_possible_too(other: float, is_named: bool) -> None:
+    """Of one pose both rooms are likelier than the other map's: that one stands third."""
+    maps = [MapView.of(one) for one in (flat(), replace(flat(), id="other"))]
+    doorway, elsewhere = pose(2.95, 0.1), pose(0.0, 0.0)
+    hypotheses = (
+        Hypothesis(0, doorway, 1.0, 0.1, 0.1, 1 - other, 0, 0, 0),
+        Hypothesis(1, elsewhere, 1.0, 0.1, 0.1, other, 0, 0, 0),
+    )
+    answer = Reporter(maps, BeliefConfig(), seed=0).answer(
+        Belief(hypotheses, lost=0.0, unmapped=0.0), np.eye(4), SECOND, Past("", True)
+    )
+    assert (answer.room is not None) is is_named
+    assert is_named or (answer.state, answer.place, answer.doorway, answer.one_of_two) == ("lost", None, None, ())
 
 
 def test_in_a_doorway_both_rooms_are_right() -> None:

@@ -142,7 +142,7 @@ def test_building_again_is_one_more_change_where_it_makes_other_places(tmp_path:
     map_id = build(tmp_path)
     store = MapStore(tmp_path / "maps")
     two = [place.id for place in store.load(map_id).places[:2]]
-    merged = store.edit(map_id, partial(with_places_merged, place_ids=two), "two places are one")
+    merged, _ = store.edit(map_id, partial(with_places_merged, place_ids=two), "two places are one")
     build(tmp_path)
     assert len(store.load(map_id).places) == len(merged.places) + 1
     assert len(said_changes(store, map_id)) == 2

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from scipy.sparse import bsr_matrix, csc_matrix
+from scipy.sparse import block_diag, bsr_matrix, csc_matrix
 
 from shared.calibration import REFERENCE_CAMERA
 from shared.geometry import FloatArray, homogeneous, inverse, se3, transform
 from station.slam.mapping import odometry_bundle
-from station.slam.mapping.odometry_bundle import MIN_FILLED, BundleState, factored, reprojection_errors
+from station.slam.mapping.odometry_bundle import MIN_FILLED, BundleState, adjust, factored, reprojection_errors
 from station.slam.mapping.odometry_mapping import gather, observations, triangulate_and_prune
 from station.slam.mapping.tracks import Tracks, longest
 from station.vision.triangulation import MIN_DEPTH_M, MIN_PARALLAX_RAD, intersect_rays
@@ -48,6 +48,36 @@ def test_equations_that_leave_something_open_are_refused(
     monkeypatch.setattr(odometry_bundle, "MAX_DENSE", max_dense)
     with pytest.raises(np.linalg.LinAlgError):
         factored(csc_matrix(np.diag([2.0, 1.0, least])))
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """Two unknowns that are said to depend on each other more than on themselves, and poses that stay."""
+
+    num_poses: int
+
+    def cost(self, state: BundleState) -> float:
+        return float(state.motion @ state.motion)
+
+    def normal_equations(self, state: BundleState) -> tuple[csc_matrix, FloatArray]:
+        poses = csc_matrix(np.eye(6 * self.num_poses))
+        open_pair = csc_matrix(np.array([[1.0, 1.05], [1.05, 1.0]]))
+        return block_diag([poses, open_pair], format="csc"), np.concatenate(
+            [np.zeros(6 * self.num_poses), state.motion]
+        )
+
+
+@pytest.mark.parametrize("max_dense", [4200, 0])
+def test_a_step_whose_equations_leave_something_open_is_made_smaller(
+    max_dense: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(odometry_bundle, "MAX_DENSE", max_dense)
+    state, tracks, rays = turned_views(0)
+    kept, points = triangulate_and_prune(state, tracks, rays, REFERENCE_CAMERA, GATE_PX)
+    state = replace(state, points=points, motion=np.array([1.0, 1.0]))
+    motion = Contradiction(len(state.R_world_body))
+    adjusted = adjust(state, observations(kept, rays, REFERENCE_CAMERA), motion, cauchy_px=1.0)
+    assert np.linalg.norm(adjusted.motion) < 0.6 * np.linalg.norm(state.motion)
 
 
 def turned_views(seed: int) -> tuple[BundleState, Tracks, list[FloatArray]]:

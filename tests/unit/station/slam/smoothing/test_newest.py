@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 
-from shared.calibration import REFERENCE_ROBOT
 from shared.geometry import inverse, se3, so3_exp
-from station.slam.smoothing.backend import SmoothingBackend
-from station.slam.smoothing.fixed_lag import FixedLagWindow
+from station.slam.smoothing.newest import NewestInFilter
 from station.slam.ukf.filter.state import CORE, FilterState, add_clone, initial_state, remove_clone
 
 
@@ -25,11 +21,9 @@ def state_with_clones(frames: list[int]) -> FilterState:
 
 
 def test_what_the_filter_corrects_once_a_keyframe_has_left_its_window_is_not_motion() -> None:
-    backend = SmoothingBackend(REFERENCE_ROBOT)
-    keyframe = SimpleNamespace(source=SimpleNamespace(frame=SimpleNamespace(index=2)))
-    backend._window = cast(FixedLagWindow, SimpleNamespace(keyframes=[keyframe]))
+    newest = NewestInFilter(np.eye(4))
     state = state_with_clones([0, 1, 2, 3])
-    moved = backend._since_keyframe(state)
+    moved = newest.moved(2, state)
     T_keyframe = se3(state.clone_R[2], state.clone_x[2])
     assert np.allclose(moved, inverse(T_keyframe) @ state.T_world_body)
     state = remove_clone(state, 2)
@@ -43,4 +37,4 @@ def test_what_the_filter_corrects_once_a_keyframe_has_left_its_window_is_not_mot
             clone_R=E @ state.clone_R,
             clone_x=state.clone_x @ E.T + shift,
         )
-        assert np.allclose(backend._since_keyframe(state), moved)
+        assert np.allclose(newest.moved(2, state), moved)
