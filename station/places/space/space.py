@@ -27,7 +27,7 @@ from station.places.space.sight import sights
 Cells = npt.NDArray[np.bool_]
 
 CELL_M = 0.1
-PASSAGE_M = 1.0  # what is narrower ends the map where the path did not go through: doors are some 0.9 m wide
+PASSAGE_M = 1.2  # what is narrower ends the map where the path did not go through: doors are up to 1.1 m wide
 DRIVEN_M = 0.2  # this near the path space is free: the robot was there itself
 AT_HAND_M = 0.4  # ... and known, also behind the cameras, unless it was seen to lie beyond a door
 SEEN_UP_TO = 0.9  # a ray ends this share of the way to its point,
