@@ -37,7 +37,7 @@ WORK = ("resting", "recording")
 SAMPLE_S, COMMAND_S, TURN_S = 5.0, 0.1, 6.0
 WRITE_S = 300.0
 MIN_SAMPLES = 3  # for a straight line
-DATASET = "recorded"
+DATASET, ROBOT_SETTINGS = "recorded", "robot.toml"
 MAX_GROWTH_PERCENT = 1.0
 JUDGED_FROM_MINUTES = 60.0  # in less than that, steps of the allocator hide a slow growth and look like a quick one
 
@@ -46,17 +46,16 @@ JUDGED_FROM_MINUTES = 60.0  # in less than that, steps of the allocator hide a s
 class Memory:
     """Resident memory of one program, MB."""
 
-    t_min: list[float] = field(default_factory=list)  # since the end of the warm-up
-    mb: list[float] = field(default_factory=list)
+    samples: list[tuple[float, float]] = field(default_factory=list)  # minutes since the end of the warm-up, MB
 
     def sample(self, t_min: float, process: psutil.Process) -> None:
-        self.t_min.append(t_min)
-        self.mb.append(process.memory_info().rss / 1e6)
+        self.samples.append((t_min, process.memory_info().rss / 1e6))
 
     def line(self) -> tuple[float, float]:
         """MB at the begin and at the end of the straight line through all samples."""
-        slope, begin = np.polyfit(self.t_min, self.mb, 1)
-        return float(begin), float(begin + slope * self.t_min[-1])
+        t_min, mb = np.array(self.samples).T
+        slope, begin = np.polyfit(t_min, mb, 1)
+        return float(begin), float(begin + slope * t_min[-1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,17 +72,20 @@ class Recorded:
     memory: dict[str, Memory] = field(default_factory=lambda: {"robot-server": Memory(), "station": Memory()})
 
 
-def robot_words(devices: str, folder: Path, fps: float) -> list[str]:
+def write_settings(folder: Path, fps: float) -> None:
+    """The simulator's, and robot-server's that name them."""
+    settings = folder / "settings.toml"
+    settings.write_text(f"camera_rate_hz = {fps}\n")
+    (folder / ROBOT_SETTINGS).write_text(f'[simulated]\nsettings = "{settings}"\n')
+
+
+def robot_words(devices: str, folder: Path) -> list[str]:
     """`folder`: of the dataset and the simulator's settings."""
     if devices == "recorded":
         return ["--devices", "recorded", "--dataset", str(folder / DATASET), "--at-end", "loop"]
-    settings = folder / "settings.toml"
-    settings.write_text(f"camera_rate_hz = {fps}\n")
-    config = folder / "robot.toml"
-    config.write_text(f'[simulated]\nsettings = "{settings}"\n')
     imu = ["--imu", "emulated"] if devices == "emulated" else []
     words = ["--devices", "simulated", "--world", "small", "--seed", "1", "--sim-port", "0"]
-    return [*words, "--config", str(config), *imu]
+    return [*words, "--config", str(folder / ROBOT_SETTINGS), *imu]
 
 
 def drive(http: httpx.Client, has_ended: threading.Event) -> None:
@@ -119,10 +121,10 @@ def wait_for_robot(http: httpx.Client) -> None:
         time.sleep(0.2)
 
 
-def measure(recorded: Recorded, minutes: float, warm_up: float, folder: Path, fps: float) -> None:
+def measure(recorded: Recorded, minutes: float, warm_up: float, folder: Path) -> None:
     case, memory = recorded.case, recorded.memory
     with contextlib.ExitStack() as stack:
-        words = robot_words(case.devices, folder, fps)
+        words = robot_words(case.devices, folder)
         robot, told = stack.enter_context(program("robot.main", *words, "--port", "0"))
         data = stack.enter_context(tempfile.TemporaryDirectory(prefix="sentinel-memory-"))
         words = ["serve", "--robot", f"127.0.0.1:{told.rsplit(':', 1)[1]}", "--port", "0", "--data", data]
@@ -138,21 +140,24 @@ def measure(recorded: Recorded, minutes: float, warm_up: float, folder: Path, fp
                 time.sleep(SAMPLE_S)
 
 
-def figures_of(recorded: Recorded, is_told: bool) -> Iterator[Figure]:
+def figures_of(recorded: Recorded, fps: float, is_told: bool) -> Iterator[Figure]:
     case = recorded.case
     for name, one in recorded.memory.items():
-        if len(one.mb) < MIN_SAMPLES:
+        if len(one.samples) < MIN_SAMPLES:
             continue
         begin, end = one.line()
-        minutes = one.t_min[-1]
+        minutes, last_mb = one.samples[-1]
         percent = 100.0 * (end / begin - 1.0)
         if is_told:
             row = (case.devices, case.work, name, f"{begin:.1f}", f"{end:.1f}", f"{60.0 * (end - begin) / minutes:.1f}")
             print(f"| {' | '.join(row)} | {percent:.2f} |")
-        what = f"{name}, {case.devices} devices, {case.work}"
+        rate = "" if case.devices == "recorded" else f", {fps:g} pictures/s"
+        what = f"{name}, {case.devices} devices{rate}, {case.work}"
         at_most = MAX_GROWTH_PERCENT if minutes >= JUDGED_FROM_MINUTES else None
-        yield Figure(f"{what}: growth of memory in {minutes:.0f} min", percent, "%", at_most=at_most, of=len(one.mb))
-        yield Figure(f"{what}: memory at the end", max(one.mb[-3:]), "MB")
+        yield Figure(
+            f"{what}: growth of memory in {minutes:.0f} min", percent, "%", at_most=at_most, of=len(one.samples)
+        )
+        yield Figure(f"{what}: memory at the end", last_mb, "MB")
 
 
 def main() -> None:
@@ -174,15 +179,20 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(len(cases) if options.together else 1) as pool:
         folder = Path(name)
         write_dataset(folder / DATASET)
-        running = {pool.submit(measure, case, options.minutes, options.warm_up, folder, options.fps) for case in cases}
+        write_settings(folder, options.fps)
+        running = {pool.submit(measure, case, options.minutes, options.warm_up, folder) for case in cases}
+        failures: list[BaseException] = []
         while running:
             ended, running = wait(running, timeout=WRITE_S, return_when=FIRST_COMPLETED)
-            run.write(options.results, [figure for case in cases for figure in figures_of(case, is_told=False)])
-            for one in ended:
-                one.result()
+            run.write(
+                options.results, [figure for case in cases for figure in figures_of(case, options.fps, is_told=False)]
+            )
+            failures += [failure for one in ended if (failure := one.exception()) is not None]
     print("| devices | work | program | begin MB | end MB | MB per hour | % |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
-    run.write(options.results, [figure for case in cases for figure in figures_of(case, is_told=True)])
+    run.write(options.results, [figure for case in cases for figure in figures_of(case, options.fps, is_told=True)])
+    if failures:
+        raise failures[0]
 
 
 if __name__ == "__main__":

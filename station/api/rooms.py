@@ -82,7 +82,10 @@ async def split(order: RoomSplit, station: StationDep, response: Response) -> li
 
 @router.delete("/doors/{door_id}", summary="Erase a door", responses={**VERSION, **responses(404, 409)})
 async def erase(door_id: str, station: StationDep, response: Response) -> list[RoomModel]:
-    """What it led to is one room with where it led from, now and in later plans. Answers all rooms as they are then."""
+    """What it led to is one room with where it led from, now and in later plans. Answers all rooms as they are then.
+
+    Of a door that nobody went through it is noted that there is none.
+    """
     station.maps.active.require_first().require_plan()
     edit = await station.erase_door(door_id)
     tell_version(response, edit)

@@ -111,9 +111,10 @@ def run_worker(socket: socket.socket, name: str, head_start_s: float, program_na
         importance.end_head_start()
 
     program: Program = program_name.load()(emit)
+    told = ""
     while True:
         try:
-            _catch_up(pipe, program)
+            told = _catch_up(pipe, program, told)
             asked = pipe.receive()
         except (EOFError, OSError):
             return
@@ -128,25 +129,33 @@ def run_worker(socket: socket.socket, name: str, head_start_s: float, program_na
                 return
 
 
-def _catch_up(pipe: Pipe, program: Program) -> None:
-    """Do what can wait until a request comes. Where it fails that is told, and tried again after the next request.
+def _catch_up(pipe: Pipe, program: Program, told: str) -> str:
+    """Do what can wait until a request comes. Where it fails it is tried again after the next request.
+
+    Returns:
+        The last failure that was told, at first `told`; one that lasts is told once.
 
     Raises OSError when the station is gone.
     """
     is_more = True
     while is_more and not pipe.has_request():
-        done = _run(program, CATCH_UP)
-        if not done.is_ok:
+        done = _run(program, CATCH_UP, told)
+        if not done.is_ok and str(done.value) != told:
+            told = str(done.value)
             pipe.send(done)
         is_more = done.is_ok and done.value
+    return told
 
 
-def _run(program: Program, asked: Asked) -> Reply:
+def _run(program: Program, asked: Asked, logged: str = "") -> Reply:
     try:
         # `Worker.ask` was given the method itself, of the interface that this program fills in.
         return Reply(asked.call, True, getattr(program, asked.method)(*asked.args, **asked.kwargs))
     except RobotSystemError as exc:
         return Reply(asked.call, False, exc)
     except Exception as exc:  # the one broad catch: a bug in one request must reach its caller, not end the worker
-        logger.exception("%s failed", asked.method)
-        return Reply(asked.call, False, WorkerFailed(f"{asked.method} failed: {type(exc).__name__}: {exc}"))
+        what = "work that could wait" if asked is CATCH_UP else asked.method
+        failure = WorkerFailed(f"{what} failed: {type(exc).__name__}: {exc}")
+        if str(failure) != logged:
+            logger.exception("%s failed", what)
+        return Reply(asked.call, False, failure)

@@ -162,7 +162,16 @@ async def test_a_bug_in_work_that_could_wait_is_said_and_the_work_after_it_is_do
         assert heard == ["before"]
         await worker.call(Puppet.niceness)
         await until(lambda: heard == ["before", "after"])
-    assert failures == ["catch_up failed: ZeroDivisionError: a bug"]
+    assert failures == ["work that could wait failed: ZeroDivisionError: a bug"]
+
+
+async def test_work_that_could_wait_and_fails_again_and_again_is_told_once() -> None:
+    failures: list[str] = []
+    async with started(on_failure=failures.append) as worker:
+        await worker.call(Puppet.leave_for_later, "stumble", "stumble", "stumble")
+        for _ in range(4):
+            await worker.call(Puppet.niceness)
+    assert failures == ["work that could wait failed: ZeroDivisionError: a bug"]
 
 
 async def test_calls_beyond_what_can_wait_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,8 +32,8 @@ class Passage:
 class Exit:
     """A gap in a wall of a rectangle beside which there is none."""
 
-    a: int
     ends: FloatArray  # (2, 2) m
+    inwards: FloatArray  # (2,) of length 1, into the rectangle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,11 +92,12 @@ def find_exits(
                 odds, behind = sides.odds[side][r.plane(side), pieces], _behind(sides.odds[side], r.plane(side), side)
                 odds_of_wall, doors = wall_with_doors(odds, model)
                 middle = float(edges[a, k]) - 0.5 * WALL_M * side[1]
+                inwards = side[1] * np.eye(2)[side[0]]
                 exits += [
-                    Exit(a, _line(surfaces, side[0], middle, pieces.start + first, pieces.start + last))
+                    Exit(_line(surfaces, side[0], middle, pieces.start + first, pieces.start + last), inwards)
                     for first, last in doors
                     if odds_of_wall > 0
-                    and np.isfinite(odds[first:last]).all()  # nobody passed it
+                    and np.isfinite([odds[first:last], behind[pieces][first:last]]).all()  # nobody passed it
                     and -behind[pieces][first:last].sum() > model.door
                 ]
     return tuple(exits)

@@ -110,14 +110,16 @@ def why_useless(plan: FloorPlan, line: FloatArray) -> str | None:
 def with_door_erased(place_map: PlaceMap, door_id: str) -> PlaceMap:
     """The map without a door: what it led to is one room with where it led from; of two it keeps a name by a person.
 
+    A door that nobody went through is noted to be none: the map goes on behind it as far as its cameras saw.
+
     Raises:
-        DataError: there is no such door, or nobody went through it.
+        DataError: there is no such door.
     """
     door = next((door for door in require_plan(place_map).doors if door.id == door_id), None)
     if door is None:
         raise DataError(f'map "{place_map.name}" has no door with id "{door_id}"; GET /floorplan lists them')
     if door.rooms[1] is None:
-        raise DataError("nobody went through this door, so no room is known behind it")
+        return _edited(place_map, _without_door(place_map.plan_edits, door))
     both = sorted((door.rooms[0], door.rooms[1]), key=lambda room_id: room_id not in place_map.plan_edits.names)
     return with_rooms_merged(place_map, both, [door])
 

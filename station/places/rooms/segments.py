@@ -59,12 +59,13 @@ def part_rooms(
     room_of = _rooms_of(len(layout.edges), [*layout.joined, *gone])
     grid = (ground.low, ground.cell, ground.unit, ground.free.shape)
     lines = [line_cells(line, *grid) for line in drawn]
-    known = ground.space.ending_at(e.ends * ground.unit for e in layout.exits).known
+    exits = [e for e in layout.exits if not any(_is_same(e.ends * ground.unit, line) for line in erased)]
+    known = ground.space.ending_at(e.ends * ground.unit for e in exits).known
     parted = parted_along(_labels(ground, known, layout.edges, room_of), lines)
     number = _in_order_of_entering(ground, parted)
     labels, count = number[parted], int(number.max(initial=0))
     gates = [_gate_of(labels, ground, p) for p in layout.passages if room_of[p.a] != room_of[p.b]]
-    gates += [Gate(int(number[room_of[e.a] + 1]), 0, e.ends * ground.unit) for e in layout.exits]
+    gates += [_exit_gate(labels, ground, e) for e in exits]
     gates += [gate for line, cells in zip(drawn, lines, strict=True) for gate in _drawn_gate(labels, line, cells)]
     found = _without_repeats([gate for gate in gates if gate is not None])
     certainty = np.ones(count)  # what a person drew is sure
@@ -211,6 +212,15 @@ def _gate_of(labels: Labels, ground: Ground, passage: Passage) -> Gate | None:
     sides = ground.cells_of(ends.mean(axis=0) + np.array([d, -d])).clip(0, np.array(labels.shape) - 1)
     a, b = sorted(int(label) for label in labels[tuple(sides.T)])
     return Gate(a, b, ends) if a and a != b else None
+
+
+def _exit_gate(labels: Labels, ground: Ground, exit: Exit) -> Gate | None:
+    """Out of the room before an exit, which may be a part of what the rectangle was."""
+    ends = exit.ends * ground.unit
+    middle = ends.mean(axis=0) + 0.4 * ground.unit * exit.inwards
+    x, y = ground.cells_of(middle[None])[0].clip(0, np.array(labels.shape) - 1)
+    label = int(labels[x, y])
+    return Gate(label, 0, ends) if label else None
 
 
 def line_cells(line: FloatArray, low: FloatArray, cell: float, unit: float, shape: tuple[int, ...]) -> Cells:

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from shared.geometry import FloatArray
 from station.model.place_answer import Localization
 from station.model.place_map import PlaceMap
-from station.places.making.scale import units_per_metre
+from station.places.making.scale import ground_rotation, units_per_metre
 from station.places.space.space import Space
 from station.places.space.widened import WidenedSpace
 from station.places.tracking.floor import Floor
@@ -37,7 +37,7 @@ class MapView:
         positions = place_map.navigation.keyframes.T_world_cam[:, :2, 3]
         size = np.ptp(positions, axis=0) / unit + 2.0 if len(positions) else np.array([2.0, 2.0])
         centroids = _centroids(place_map)
-        space = _space(place_map)
+        space = Space.of(place_map.navigation).ending_at(_exits(place_map))
         return cls(
             place_map=place_map,
             centroids=centroids,
@@ -55,7 +55,13 @@ class MapView:
         """The same map with other places, rooms or names."""
         centroids = _centroids(place_map)
         rooms = RoomView.of(place_map.plan)
-        return replace(self, place_map=place_map, centroids=centroids, tree=_tree(centroids), rooms=rooms)
+        view = replace(self, place_map=place_map, centroids=centroids, tree=_tree(centroids), rooms=rooms)
+        exits, before = _exits(place_map), _exits(self.place_map)
+        if len(exits) == len(before) and all(map(np.array_equal, exits, before)):
+            return view
+        space = self.space.ending_at(exits)
+        sightings = Sightings(place_map, self.unit, space)
+        return replace(view, space=space, reach=WidenedSpace.of(space), sightings=sightings)
 
     def looking(self, z: Localization) -> MapView:
         """The same map, which reaches farther by what a recognised image saw through."""
@@ -82,14 +88,13 @@ class MapView:
         return shares[0] / len(p_map), shares[1] / len(p_map)
 
 
-def _space(place_map: PlaceMap) -> Space:
-    """What the mapping navigation saw; it ends at doors that nobody went through."""
-    space = Space.of(place_map.navigation)
+def _exits(place_map: PlaceMap) -> list[FloatArray]:
+    """(2, 2) each, on the ground of its navigation's space: doors that nobody went through."""
     if place_map.plan is None:
-        return space
-    R = space.R_ground_map @ place_map.plan.R_ground_map.T
-    ends = [np.pad(door.ends, ((0, 0), (0, 1))) for door in place_map.plan.doors if door.rooms[1] is None]
-    return space.ending_at([(line @ R.T)[:, :2] for line in ends])
+        return []
+    R = ground_rotation(place_map.navigation) @ place_map.plan.R_ground_map.T
+    doors = [np.pad(door.ends, ((0, 0), (0, 1))) for door in place_map.plan.doors if door.rooms[1] is None]
+    return [(ends @ R.T)[:, :2] for ends in doors]
 
 
 def _centroids(place_map: PlaceMap) -> FloatArray:

@@ -31,6 +31,7 @@ export class LastChange {
   /** Make a change, and offer for a while to take just that back. Undo that is pressed before it is made means it, too. */
   async make(work: () => Promise<number | null>): Promise<void> {
     const making: Making = { isUnwanted: false };
+    const { map } = this;
     this.making = making;
     this.draw();
     let version: number | null = null;
@@ -41,6 +42,7 @@ export class LastChange {
       if (this.making === making) this.making = null;
       this.draw();
     }
+    if (map !== this.map) return; // what is listed now is another map's
     const made = this.changes.find((change) => change.version === version);
     if (!made) {
       toast(version === null ? "Nothing was changed: it was so already." : "It was taken back already.");

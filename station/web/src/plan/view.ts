@@ -176,15 +176,19 @@ export class PlanView {
   }
 
   private askDoor(door: DoorModel): void {
-    const [a, b] = door.rooms.map((id) => this.plan?.rooms.find((room) => room.id === id)?.name);
-    if (!a || !b) {
-      toast("Nobody went through this door when the map was made: what is behind it is not mapped.");
-      return;
-    }
-    toast(`Door between ${a} and ${b}.`, {
+    const erase = {
       label: "Erase",
       act: () => undoablePlan(() => edit("DELETE", `/doors/${encodeURIComponent(door.id)}`)),
-    });
+    };
+    const [a, b] = door.rooms.map((id) => this.plan?.rooms.find((room) => room.id === id)?.name);
+    if (!a || !b) {
+      toast(
+        "Nobody went through this door when the map was made: the map ends here. Erase it where there is none.",
+        erase,
+      );
+      return;
+    }
+    toast(`Door between ${a} and ${b}.`, erase);
   }
 
   private takePen(isOut: boolean): void {

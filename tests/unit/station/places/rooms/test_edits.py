@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -142,13 +143,13 @@ def test_a_door_is_drawn_in_a_plan_that_had_more_rooms_than_it_has_when_made_ane
 
 def test_what_there_is_not_is_refused_by_name() -> None:
     flat = with_two_rooms(make_map())
-    for change, words in (
+    cases: list[tuple[Callable[[], PlaceMap], str]] = [
         (lambda: with_room_renamed(flat, "room-x", "Hall"), 'no room with id "room-x"'),
         (lambda: with_door_erased(flat, "door-x"), 'no door with id "door-x"'),
-        (lambda: with_door_erased(flat, "door-k"), "nobody went through"),
         (lambda: with_rooms_merged(flat, ["room-l", "room-l"]), "two different rooms"),
         (lambda: with_room_renamed(make_map(), "room-l", "Hall"), "has no floor plan"),
-    ):
+    ]
+    for change, words in cases:
         with pytest.raises(DataError, match=words):
             change()
 

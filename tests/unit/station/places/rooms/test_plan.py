@@ -14,6 +14,7 @@ from station.model.navigation import Navigation
 from station.model.place_map import Place, PlaceMap
 from station.places.rooms.axes import TURNS, turn_to_walls
 from station.places.rooms.belonging import rooms_of_places
+from station.places.rooms.edits import with_door_erased
 from station.places.rooms.plan import make_floor_plan
 from station.places.rooms.surfaces import Seen
 from station.places.rooms.wall_model import wall_model
@@ -78,6 +79,28 @@ def test_room_and_map_end_at_a_door_that_nobody_went_through() -> None:
     assert view.space.knows(within).all() and not view.space.knows(beyond).any()
     without_plan = MapView.of(replace(looked_into(), plan=None))
     assert without_plan.space.knows(beyond).all(), "a disc as wide as a passage comes so far into a door"
+
+
+def test_a_way_out_that_is_none_is_erased_and_the_map_in_use_goes_on_behind_it() -> None:
+    plan, view = looked_into().plan, MapView.of(looked_into())
+    assert plan is not None
+    erased = with_door_erased(looked_into(), plan.doors[0].id)
+    beyond = np.array([[4.35, 1.95, 0.1]])
+    assert erased.plan is not None and not erased.plan.doors
+    assert not view.space.knows(beyond).any() and view.regrouped(erased).reach.knows(beyond).all()
+    assert not view.regrouped(erased).regrouped(looked_into()).reach.knows(beyond).any()
+
+
+@pytest.mark.parametrize("x", [2.2, 2.6])
+def test_a_way_out_is_of_the_part_of_a_room_that_it_is_in(x: float) -> None:
+    before = looked_into().plan
+    assert before is not None
+    line = on_ground(before, (x, -0.2), (x, 4.2))
+    parted = make_floor_plan(looked_into().navigation, (), PlanEdits(doors_drawn=(line,)), before)
+    (door,) = [door for door in parted.doors if door.rooms[1] is None]
+    beside = parted.rooms[int(parted.rooms_at(np.array([[3.5, 1.95, 0.0]]))[0])]
+    assert door.rooms[0] == beside.id
+    assert len(parted.rooms) == 2
 
 
 def test_a_niche_is_no_way_out() -> None:

@@ -74,7 +74,7 @@ def test_a_map_of_any_scale_and_tilt_knows_the_same_space(scale: float) -> None:
     unknown = replace(navigation.report, scale="arbitrary", gravity_aligned=False)
     here = Space.of(replace(navigation, report=unknown))
     there = Space.of(moved(navigation, T, unknown))
-    outside = np.array([[4.8, 3.5, 0.0], [4.8, 0.5, 0.0], [2.0, 11.0, 0.0]])  # by the guessed metre the door is no door
+    outside = np.array([[4.8, 3.5, 0.0], [4.8, 0.5, 0.0], [2.0, 11.0, 0.0]])
     assert here.knows(WITHIN).all() and there.knows(transform(T, WITHIN)).all()
     assert not here.knows(outside).any() and not there.knows(transform(T, outside)).any()
 
