@@ -81,7 +81,7 @@ class NavigationSlam(SlamProgram):
             return True  # stored at the end, with all others
         try:
             self._pictures.describe(pictures[self._num_described - 1])
-        except Exception:  # whoever needs it describes it again; SLAM's own work that waits must not end with it
+        except Exception:  # whoever needs it describes it again; the pictures after it are described all the same
             logger.exception("a picture could not be described")
         return True
 
