@@ -147,7 +147,7 @@ def _edit(
 ) -> PlaceMap:
     """Change the map as it is by now, and return it."""
     if not is_folder(which):
-        return open_store(data, config).edit(which, change, why)
+        return open_store(data, config).edit(which, change, why)[0]
     place_map = change(load_map_folder(Path(which)))
     save_map_folder(place_map, Path(which), {"graph.graphml": to_graphml(place_map)})
     return place_map
