@@ -199,7 +199,8 @@ class BehindAWall(PlaceByLight):
 
     def answer(self, frame: ImageFrame) -> PlaceReport:
         report = super().answer(frame)
-        assert report.answer.place is not None
+        if report.answer.place is None:
+            return report
         own, here = require_plan(self._maps[0]).rooms[:2]
         place = replace(report.answer.place, room=own.id)
         return replace(report, answer=replace(report.answer, place=place, room=RoomCandidate(here.id, here.name, 0.95)))

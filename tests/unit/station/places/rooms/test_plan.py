@@ -14,7 +14,7 @@ from station.model.navigation import Navigation
 from station.model.place_map import Place, PlaceMap
 from station.places.rooms.axes import TURNS, turn_to_walls
 from station.places.rooms.belonging import rooms_of_places
-from station.places.rooms.edits import with_door_erased
+from station.places.rooms.edits import require_plan, with_door_erased
 from station.places.rooms.plan import make_floor_plan
 from station.places.rooms.surfaces import Seen
 from station.places.rooms.wall_model import wall_model
@@ -63,8 +63,7 @@ def looked_into() -> PlaceMap:
 
 
 def test_a_door_that_nobody_went_through_leads_out_and_is_where_it_is() -> None:
-    plan = looked_into().plan
-    assert plan is not None
+    plan = require_plan(looked_into())
     (door,) = plan.doors
     assert door.rooms == (plan.rooms[0].id, None)
     assert door.ends.mean(axis=0) == pytest.approx(on_ground(plan, DOOR)[0], abs=0.15)
@@ -72,8 +71,7 @@ def test_a_door_that_nobody_went_through_leads_out_and_is_where_it_is() -> None:
 
 
 def test_room_and_map_end_at_a_door_that_nobody_went_through() -> None:
-    plan, view = looked_into().plan, MapView.of(looked_into())
-    assert plan is not None
+    plan, view = require_plan(looked_into()), MapView.of(looked_into())
     within, beyond = np.array([[3.7, 1.95, 0.1]]), np.array([[4.35, 1.95, 0.1]])
     assert plan.rooms_at(within).tolist() == [0] and plan.rooms_at(beyond).tolist() == [-1]
     assert view.space.knows(within).all() and not view.space.knows(beyond).any()
@@ -82,19 +80,17 @@ def test_room_and_map_end_at_a_door_that_nobody_went_through() -> None:
 
 
 def test_a_way_out_that_is_none_is_erased_and_the_map_in_use_goes_on_behind_it() -> None:
-    plan, view = looked_into().plan, MapView.of(looked_into())
-    assert plan is not None
+    plan, view = require_plan(looked_into()), MapView.of(looked_into())
     erased = with_door_erased(looked_into(), plan.doors[0].id)
     beyond = np.array([[4.35, 1.95, 0.1]])
-    assert erased.plan is not None and not erased.plan.doors
+    assert not require_plan(erased).doors
     assert not view.space.knows(beyond).any() and view.regrouped(erased).reach.knows(beyond).all()
     assert not view.regrouped(erased).regrouped(looked_into()).reach.knows(beyond).any()
 
 
 @pytest.mark.parametrize("x", [2.2, 2.6])
 def test_a_way_out_is_of_the_part_of_a_room_that_it_is_in(x: float) -> None:
-    before = looked_into().plan
-    assert before is not None
+    before = require_plan(looked_into())
     line = on_ground(before, (x, -0.2), (x, 4.2))
     parted = make_floor_plan(looked_into().navigation, (), PlanEdits(doors_drawn=(line,)), before)
     (door,) = [door for door in parted.doors if door.rooms[1] is None]
