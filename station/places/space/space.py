@@ -29,6 +29,7 @@ Cells = npt.NDArray[np.bool_]
 CELL_M = 0.1
 PASSAGE_M = 1.2  # what is narrower ends the map where the path did not go through: doors are up to 1.1 m wide
 DRIVEN_M = 0.2  # this near the path space is free: the robot was there itself
+GUESSED_PASSAGE_M = 1.4  # ... where the metre is a guess, which may be short by a cell or two of a door
 AT_HAND_M = 0.4  # ... and known, also behind the cameras, unless it was seen to lie beyond a door
 SEEN_UP_TO = 0.9  # a ray ends this share of the way to its point,
 BEFORE_M = 0.2  # and this before it: sights end short of landmarks
@@ -44,6 +45,7 @@ class Space:
     low: FloatArray  # (2,) map units, on the ground
     cell: float  # map units
     metre: float  # map units
+    passage: float  # map units: the map ends at what is narrower
     free: Cells  # seen through, or driven through
     driven: Cells  # of it: by the robot's body
     at_hand: Cells  # of the path, and not seen to lie beyond a door
@@ -57,16 +59,24 @@ class Space:
         path = (_path(navigation) @ R.T)[:, :2]
         if not len(path):
             none = np.zeros((0, 0), dtype=np.bool_)
-            return cls(R, np.zeros(2), 1.0, 1.0, none, none, none, none, np.zeros((0, 0), np.uint16))
+            return cls(R, np.zeros(2), 1.0, 1.0, PASSAGE_M, none, none, none, none, np.zeros((0, 0), np.uint16))
         metre = units_per_metre(navigation)
         carving = Carving.around(path, metre, cell_m)
         for sight in sights(navigation, R, FARTHEST_M * metre):
             carving.add(sight)
-        return cls.carved(carving, R, path, metre, has_wheels=navigation.calibration.has_wheels)
+        passage = metre * (PASSAGE_M if navigation.is_metric else GUESSED_PASSAGE_M)
+        return cls.carved(carving, R, path, metre, passage, has_wheels=navigation.calibration.has_wheels)
 
     @classmethod
     def carved(
-        cls, carving: Carving, R_ground_map: FloatArray, path: FloatArray, metre: float, *, has_wheels: bool
+        cls,
+        carving: Carving,
+        R_ground_map: FloatArray,
+        path: FloatArray,
+        metre: float,
+        passage: float,
+        *,
+        has_wheels: bool,
     ) -> Space:
         """What was carved from sights along a path (n, 2) on the ground."""
         low, cell, seen = carving.low, carving.cell, carving.seen
@@ -76,14 +86,14 @@ class Space:
         free = (seen >= SEEN_BY) | driven
         at_hand_m = AT_HAND_M if has_wheels else CARRIED_AT_HAND_M
         at_hand = within(on_path, at_hand_m * metre / cell) & (seen < SEEN_BY)
-        return cls(R_ground_map, low, cell, metre, free, driven, at_hand, driven, seen).ending_at(())
+        return cls(R_ground_map, low, cell, metre, passage, free, driven, at_hand, driven, seen).ending_at(())
 
     def ending_at(self, lines: Iterable[FloatArray]) -> Space:
         """The same where the map ends at these lines (2, 2) on the ground: doors that the path did not go through.
 
         Who stands on such a line is in the map still.
         """
-        half_passage = 0.5 * PASSAGE_M * self.metre / self.cell
+        half_passage = 0.5 * self.passage / self.cell
         shut = np.zeros_like(self.free)
         for line in lines:
             shut |= cells_on(line, self.low, self.cell, self.free.shape)

@@ -15,7 +15,7 @@ import numpy as np
 from shared.geometry import FloatArray
 from station.places.space.carving import FARTHEST_M, SEEN_BY, Carving
 from station.places.space.sight import Sight
-from station.places.space.space import CARRIED_AT_HAND_M, PASSAGE_M, Cells, Space, closed, reached_from, within
+from station.places.space.space import CARRIED_AT_HAND_M, Cells, Space, closed, reached_from, within
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +46,7 @@ class WidenedSpace:
             return self
         carving = Carving(space.low, space.cell, np.zeros_like(space.seen))
         carving.add(sight)
-        half_passage = 0.5 * PASSAGE_M * space.metre / space.cell
+        half_passage = 0.5 * space.passage / space.cell
         margin = int(sight.reach.max() / space.cell + 2 * half_passage) + 2
         begin = np.maximum(eye - margin, 0)
         window = slice(begin[0], eye[0] + margin), slice(begin[1], eye[1] + margin)

@@ -75,8 +75,9 @@ def test_a_map_of_any_scale_and_tilt_knows_the_same_space(scale: float) -> None:
     here = Space.of(replace(navigation, report=unknown))
     there = Space.of(moved(navigation, T, unknown))
     outside = np.array([[4.8, 3.5, 0.0], [4.8, 0.5, 0.0], [2.0, 11.0, 0.0]])
-    assert here.knows(WITHIN).all() and there.knows(transform(T, WITHIN)).all()
-    assert not here.knows(outside).any() and not there.knows(transform(T, outside)).any()
+    for p in (WITHIN, BEYOND, outside):
+        assert here.knows(p).tolist() == there.knows(transform(T, p)).tolist()
+    assert here.knows(WITHIN).all() and not here.knows(BEYOND).any() and not here.knows(outside).any()
 
 
 @given(st.floats(-np.pi, np.pi), st.floats(-5, 5))
