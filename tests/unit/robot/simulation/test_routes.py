@@ -61,16 +61,20 @@ def test_an_unknown_kind_is_named() -> None:
         plan_route(make_world("room", 0), "spiral")
 
 
-def test_a_tour_goes_both_ways_round_every_room() -> None:
-    world = make_world("small", 3)
-    points = plan_route(world, "tour").points
+@pytest.mark.parametrize(
+    ("kind", "seed", "pace"),
+    [("small", 3, CALM), ("small", 30, BRISK), ("home", 31, CALM), ("home", 34, BRISK), ("plain", 30, BRISK)],
+)
+def test_the_driver_of_a_tour_turns_both_ways_round_in_every_room(kind: str, seed: int, pace: Pace) -> None:
+    world = make_world(kind, seed)
+    route = plan_route(world, "tour")
+    path = driven(world, route, seed, pace)
+    turned = np.diff(np.unwrap(path[:, 2]))
     for room in world.rooms:
-        inside = np.array([world.room_at(*p) == room.name for p in points])
-        centre = points[inside].mean(0)
-        bearing = np.arctan2(*(points - centre).T[::-1])
-        step = np.diff(np.unwrap(bearing))[inside[1:] & inside[:-1]]
-        assert step[step > 0].sum() > np.pi
-        assert step[step < 0].sum() < -np.pi
+        inside = np.array([world.room_at(x, y) == room.name for x, y in path[1:, :2]])
+        assert turned[inside & (turned > 0)].sum() > np.pi
+        assert turned[inside & (turned < 0)].sum() < -np.pi
+    assert np.hypot(*(route.points[-1] - path[-1, :2])) < 0.3
 
 
 def test_a_brisk_driver_comes_to_the_end_sooner() -> None:
