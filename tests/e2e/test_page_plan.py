@@ -7,8 +7,9 @@ import json
 import re
 
 import pytest
-from playwright.async_api import Route, WebSocketRoute, expect
+from playwright.async_api import Page, Route, WebSocketRoute, expect
 
+from station.model.place_map import PlaceMap
 from station.places.rooms.edits import require_plan
 from tests.e2e.conftest import Room
 from tests.support.station import store_planned_map, store_split_map
@@ -84,10 +85,16 @@ async def test_the_plan_is_downloaded_as_a_drawing(room: Room, ending: str, begi
     assert (await download.path()).read_bytes().startswith(begin)
 
 
-async def test_while_rooms_are_made_one_the_page_says_that_the_plan_is_made_anew(room: Room) -> None:
+async def open_split(room: Room) -> tuple[PlaceMap, Page]:
+    """A map of two rooms in use, and the page that shows it."""
     split = store_split_map(room.desk.station.config.data_dir)
     page = await room.open()
     await room.desk.http.put("/maps/active", json={"id": split.id})
+    return split, page
+
+
+async def test_while_rooms_are_made_one_the_page_says_that_the_plan_is_made_anew(room: Room) -> None:
+    _, page = await open_split(room)
     await expect(page.locator(".plan-room")).to_have_count(2)
 
     async def answer_when_it_was_said(route: Route) -> None:
@@ -103,9 +110,7 @@ async def test_while_rooms_are_made_one_the_page_says_that_the_plan_is_made_anew
 
 
 async def test_undo_that_is_pressed_before_a_door_is_erased_takes_the_erasing_back(room: Room) -> None:
-    split = store_split_map(room.desk.station.config.data_dir)
-    page = await room.open()
-    await room.desk.http.put("/maps/active", json={"id": split.id})
+    split, page = await open_split(room)
     first = require_plan(split).rooms[0].id
     await room.desk.http.patch(f"/rooms/{first}", json={"name": HALL})
     await expect(page.locator("#undo-text")).to_contain_text(f"is {HALL} now")
@@ -129,9 +134,7 @@ async def test_undo_that_is_pressed_before_a_door_is_erased_takes_the_erasing_ba
 
 
 async def test_undo_that_is_pressed_before_a_door_is_erased_leaves_what_somebody_else_made_since(room: Room) -> None:
-    split = store_split_map(room.desk.station.config.data_dir)
-    page = await room.open()
-    await room.desk.http.put("/maps/active", json={"id": split.id})
+    _, page = await open_split(room)
     await expect(page.locator(".plan-room")).to_have_count(2)
 
     async def answer_when_another_change_was_made(route: Route) -> None:
