@@ -38,18 +38,20 @@ CUTS, CONNECTED_S, CUT_S = 10, 2.5, 1.5
 BACK_WITHIN_MS = 2000.0  # asked
 
 
-def write_dataset(root: Path) -> None:
+def write_dataset(root: Path, frame_rate_hz: float = FRAME_RATE_HZ) -> None:
     """Ten seconds of textured pictures (about 50 kB each) and IMU samples, as an ASL folder."""
     cam, imu = root / "mav0" / "cam0", root / "mav0" / "imu0"
     (cam / "data").mkdir(parents=True)
     imu.mkdir()
-    (cam / "sensor.yaml").write_text("resolution: [640, 480]\nintrinsics: [500, 500, 320, 240]\nrate_hz: 30\n")
+    (cam / "sensor.yaml").write_text(
+        f"resolution: [640, 480]\nintrinsics: [500, 500, 320, 240]\nrate_hz: {frame_rate_hz:g}\n"
+    )
     rng = np.random.default_rng(0)
     coarse = rng.integers(0, 255, (120, 160, 3), np.uint8)
     scene = cv2.resize(coarse, (1280, 960), interpolation=cv2.INTER_CUBIC)
     names = []
-    for k in range(FRAME_RATE_HZ * LOOP_S):
-        t_ns = round(k * 1e9 / FRAME_RATE_HZ)
+    for k in range(round(frame_rate_hz * LOOP_S)):
+        t_ns = round(k * 1e9 / frame_rate_hz)
         picture = np.roll(scene, 4 * k, axis=1)[200:680, 200:840]
         cv2.imwrite(str(cam / "data" / f"{t_ns}.jpg"), picture, [cv2.IMWRITE_JPEG_QUALITY, 80])
         names.append(f"{t_ns},{t_ns}.jpg\n")

@@ -151,8 +151,7 @@ def figures_of(recorded: Recorded, fps: float, is_told: bool) -> Iterator[Figure
         if is_told:
             row = (case.devices, case.work, name, f"{begin:.1f}", f"{end:.1f}", f"{60.0 * (end - begin) / minutes:.1f}")
             print(f"| {' | '.join(row)} | {percent:.2f} |")
-        rate = "" if case.devices == "recorded" else f", {fps:g} pictures/s"
-        what = f"{name}, {case.devices} devices{rate}, {case.work}"
+        what = f"{name}, {case.devices} devices, {fps:g} pictures/s, {case.work}"
         at_most = MAX_GROWTH_PERCENT if minutes >= JUDGED_FROM_MINUTES else None
         yield Figure(
             f"{what}: growth of memory in {minutes:.0f} min", percent, "%", at_most=at_most, of=len(one.samples)
@@ -164,7 +163,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--minutes", type=float, default=2.0, help="Of each case, after its warm-up.")
     parser.add_argument("--warm-up", type=float, default=1.0, help="Minutes before anything counts.")
-    parser.add_argument("--fps", type=float, default=20.0, help="pictures a second of simulated cameras")
+    parser.add_argument("--fps", type=float, default=20.0, help="pictures a second")
     parser.add_argument("--together", action="store_true", help="all cases at once")
     parser.add_argument("--devices", nargs="+", choices=DEVICES, default=DEVICES)
     parser.add_argument("--work", nargs="+", choices=WORK, default=WORK)
@@ -178,7 +177,7 @@ def main() -> None:
     cases = [Recorded(Case(devices, work)) for devices, work in itertools.product(options.devices, options.work)]
     with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(len(cases) if options.together else 1) as pool:
         folder = Path(name)
-        write_dataset(folder / DATASET)
+        write_dataset(folder / DATASET, options.fps)
         write_settings(folder, options.fps)
         running = {pool.submit(measure, case, options.minutes, options.warm_up, folder) for case in cases}
         failures: list[BaseException] = []
