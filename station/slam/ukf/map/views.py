@@ -31,7 +31,7 @@ class ViewConfig:
     min_interval_s: float = 0.2  # a machine that is too slow must not make a view of each picture it still gets to
     min_interval_turned_s: float = 0.1  # of a head that has turned as far by then: with its body it is twice as fast
     num_previous: int = 4  # views before, that each one is matched with
-    capacity: int = 1000  # 0.13 MB each; beyond, every second view goes and the spacing grows by half
+    capacity: int = 1000  # 0.3 MB each; beyond, every second view goes and the spacing grows by half
 
 
 @dataclass(frozen=True, slots=True, eq=False)
