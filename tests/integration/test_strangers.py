@@ -7,6 +7,7 @@ import asyncio
 import gc
 import json
 import logging
+import resource
 import ssl
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -98,6 +99,18 @@ async def test_handshakes_that_are_never_finished_keep_nobody_out(tmp_path: Path
                 assert await socket.recv()
         finally:
             leave(stuck)
+
+
+def test_strangers_take_a_quarter_of_the_files_that_may_still_be_opened() -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    left = connections.descriptors_left()
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft - left + 80, hard))
+    try:
+        assert 76 <= connections.descriptors_left() <= 80
+        at_most = connections.Connections().max_strangers
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    assert at_most in (19, 20)
 
 
 async def test_silent_connections_keep_nobody_out(tmp_path: Path) -> None:
