@@ -21,7 +21,7 @@ from shared import reception
 from shared.access import Role
 from shared.reception import Caller
 from station.access.visitors import access_folder
-from station.api import connections, limits
+from station.api import connections, limits, serving
 from station.api.connections import MAX_SENT_AHEAD, MAX_STRANGERS, Connection
 from station.main import app as station_app
 from tests.support.access import Guarded, guarded_station
@@ -289,6 +289,24 @@ async def test_an_address_where_nobody_is_known_keeps_no_other_out(tmp_path: Pat
             assert await status_of(reader) == 503  # there is no robot
         finally:
             leave([known, *strangers])
+
+
+async def test_however_long_bodies_may_take_strangers_hold_no_more_of_them_than_they_have_seats(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By their time they would all end in the end, and whoever waits long enough gets in without seats, too."""
+    monkeypatch.setattr(limits, "STRANGERS_BODY", limits.BodyBounds(4096, 600.0))
+    monkeypatch.setattr(serving, "STRANGER_WITHIN_S", 600.0)
+    async with guarded_station(tmp_path) as station:
+        strangers = [await opened(station, f"127.0.0.{2 + n % 8}") for n in range(2 * MAX_STRANGERS)]
+        try:
+            for _, writer in strangers:
+                writer.write(head("/login", 4000) + bytes(100))
+            await ended(strangers, MAX_STRANGERS)
+            answer = await station.desk.http.post("/stop", headers=station.headers(Role.ADMIN))
+            assert answer.json()["type"] == "/problems/no-robot"
+        finally:
+            leave(strangers)
 
 
 async def test_stop_is_answered_while_strangers_hold_more_bodies_open_than_there_are_descriptors(
