@@ -172,7 +172,12 @@ async def _shake_hands(connection: socket.socket, name: str, peer: tuple[Any, ..
         )
     except ConnectionAbortedError as exc:  # by ourselves: asyncio's word for a handshake that took too long
         raise TimeoutError(str(exc)) from exc
-    except (ssl.SSLError, ConnectionResetError) as exc:
+    except ConnectionResetError as exc:  # it may speak TLS as well as any: one without says its hello at once
+        raise ConnectionRefused(
+            f"{name} ended the connection before it said who it is: robot-server there is just ending or starting, or"
+            " too many others call it"
+        ) from exc
+    except ssl.SSLError as exc:
         remedy = "run `robot-server access init` on the robot"
         if is_loopback(str(peer[0])):
             remedy = "on loopback it needs no pairing, or `[access] folder` in its TOML file"

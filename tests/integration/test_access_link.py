@@ -285,6 +285,18 @@ async def test_a_robot_that_is_silent_did_not_answer(monkeypatch: pytest.MonkeyP
     assert connecting.in_words(late.value, f"127.0.0.1:{port}") == f"no answer from 127.0.0.1:{port}"
 
 
+async def test_a_robot_that_ends_the_handshake_may_have_access_control() -> None:
+    async def leave(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.read(1)
+        writer.transport.abort()
+
+    async with await asyncio.start_server(leave, "127.0.0.1", 0) as server:
+        port = server.sockets[0].getsockname()[1]
+        with pytest.raises(ConnectionRefused, match=f"127.0.0.1:{port} ended the connection before") as ended:
+            await connect_by_tls("127.0.0.1", port)
+    assert "access control" not in str(ended.value)
+
+
 async def test_a_station_without_tls_gets_no_word_from_a_guarded_robot(tmp_path: Path) -> None:
     async with guarded_robot(tmp_path) as bench:
         reader, writer = await asyncio.open_connection("127.0.0.1", bench.port)
