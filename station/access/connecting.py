@@ -108,6 +108,7 @@ async def _open(host: str, port: int, needs_tls: Callable[[str], bool]) -> Conne
     loop = asyncio.get_running_loop()
     error: OSError | None = None
     for family, kind, protocol, _, address in await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM):
+        by_tls = needs_tls(str(address[0]))  # before there is a socket to be left open by what it raises
         connection = socket.socket(family, kind, protocol)
         try:
             connection.setblocking(False)
@@ -121,7 +122,7 @@ async def _open(host: str, port: int, needs_tls: Callable[[str], bool]) -> Conne
             connection.close()
             raise
         try:
-            if needs_tls(str(address[0])):
+            if by_tls:
                 return await _shake_hands(connection, show_address(host, port), address)
             return Connection(*await _streams(connection), address)
         except OSError as exc:
