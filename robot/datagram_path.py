@@ -89,7 +89,8 @@ class DatagramPath:
 
     def end_picture(self) -> None:
         """The last of its datagrams was sent."""
-        self._under_way[-1].last_datagram = self._sealer.next_number - 1
+        if self._under_way:  # a report may tell of pictures that there never were
+            self._under_way[-1].last_datagram = self._sealer.next_number - 1
 
     def reply(self, reply: HeartbeatReply) -> bytes:
         """A datagram that tells both clocks, and by its arrival that the way is open."""

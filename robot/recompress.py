@@ -59,6 +59,7 @@ class Recompressor:
         self._waiting = deque(job for job in self._waiting if not job[0].is_late(now_ns))
 
     def close(self) -> None:
+        self._waiting.clear()  # what is being made now would begin the next
         self._thread.shutdown(wait=False, cancel_futures=True)
 
 

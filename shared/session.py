@@ -183,7 +183,8 @@ class Session:
         if self.state is State.CLOSED:
             return []
         if now_ns - self._ticked_ns > OWN_PAUSE_NS:
-            self._heard_ns += now_ns - self._ticked_ns
+            # What was heard before this tick, behind the pause, is no word of later.
+            self._heard_ns = min(self._heard_ns + now_ns - self._ticked_ns, now_ns)
         self._ticked_ns = now_ns
         silence_ns = now_ns - self._heard_ns
         is_joined = self.state in _JOINED

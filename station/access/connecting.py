@@ -108,6 +108,7 @@ async def _open(host: str, port: int, needs_tls: Callable[[str], bool]) -> Conne
     loop = asyncio.get_running_loop()
     error: OSError | None = None
     for family, kind, protocol, _, address in await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM):
+        by_tls = needs_tls(str(address[0]))  # before there is a socket to be left open by what it raises
         connection = socket.socket(family, kind, protocol)
         try:
             connection.setblocking(False)
@@ -121,7 +122,7 @@ async def _open(host: str, port: int, needs_tls: Callable[[str], bool]) -> Conne
             connection.close()
             raise
         try:
-            if needs_tls(str(address[0])):
+            if by_tls:
                 return await _shake_hands(connection, show_address(host, port), address)
             return Connection(*await _streams(connection), address)
         except OSError as exc:
@@ -172,7 +173,12 @@ async def _shake_hands(connection: socket.socket, name: str, peer: tuple[Any, ..
         )
     except ConnectionAbortedError as exc:  # by ourselves: asyncio's word for a handshake that took too long
         raise TimeoutError(str(exc)) from exc
-    except (ssl.SSLError, ConnectionResetError) as exc:
+    except ConnectionResetError as exc:  # it may speak TLS as well as any: one without says its hello at once
+        raise ConnectionRefused(
+            f"{name} ended the connection before it said who it is: robot-server there is just ending or starting, or"
+            " too many others call it"
+        ) from exc
+    except ssl.SSLError as exc:
         remedy = "run `robot-server access init` on the robot"
         if is_loopback(str(peer[0])):
             remedy = "on loopback it needs no pairing, or `[access] folder` in its TOML file"

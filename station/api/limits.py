@@ -141,12 +141,12 @@ async def converse(
             except GONE:
                 pass
             finally:
+                leave()  # first: it may stop a robot, and what is said besides may have failed
                 for task in saying:
                     task.cancel()
                 for task in saying:
                     with contextlib.suppress(asyncio.CancelledError, *GONE):
                         await task
-                leave()
     except Busy as exc:
         await socket.close(TRY_AGAIN_LATER, str(exc))
     except Replaced:

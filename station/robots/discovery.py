@@ -7,7 +7,8 @@ import contextlib
 import random
 from collections.abc import Collection, Sequence
 
-from zeroconf import BadTypeInNameException, InterfaceChoice, ServiceStateChange, Zeroconf
+from zeroconf import BadTypeInNameException, Error, InterfaceChoice, ServiceStateChange, Zeroconf, const
+from zeroconf._dns import DNSPointer
 from zeroconf.asyncio import AsyncServiceBrowser, AsyncServiceInfo, AsyncZeroconf
 
 from shared.discovery import SERVICE_TYPE, ipv6_interfaces, own_addresses, service_label
@@ -17,6 +18,7 @@ SETTLE_S = 0.5  # all answer a question within a tenth of a second, or a second 
 LOOKUP_MS = 1000
 MAX_SERVICES = 32  # looked up at once; of more by chance, so that nobody can fill the list for long
 MAX_ADDRESSES = 4  # of one service
+MAX_LABEL_BYTES = 63  # RFC 1035
 
 
 def find_robots(
@@ -40,10 +42,16 @@ async def _find(seconds: float, preferred: Collection[str], interfaces: Sequence
     try:
         labels = tuple(map(service_label, preferred))
         services = chosen(await _listen(network.zeroconf, seconds, labels), labels)
-        await asyncio.gather(*(service.async_request(network.zeroconf, LOOKUP_MS) for service in services))
+        await asyncio.gather(*(_look_up(service, network.zeroconf) for service in services))
         return tuple(found for service in services for found in _robots(service))
     finally:
         await network.async_close()
+
+
+async def _look_up(service: AsyncServiceInfo, network: Zeroconf) -> None:
+    """What it says of itself may be nothing that can be asked for: then it has no address."""
+    with contextlib.suppress(Error):
+        await service.async_request(network, LOOKUP_MS)
 
 
 def _open(interfaces: Sequence[str]) -> AsyncZeroconf:
@@ -51,6 +59,8 @@ def _open(interfaces: Sequence[str]) -> AsyncZeroconf:
     if not interfaces and (by_ipv6 := ipv6_interfaces()):
         with contextlib.suppress(OSError, RuntimeError):  # a system may have one of the two only
             return AsyncZeroconf(interfaces=[*(str(ip) for ip, _ in own_addresses() if ip.version == 4), *by_ipv6])
+    if not own_addresses():  # zeroconf would leave a socket open
+        raise OSError("this machine has no address")
     return AsyncZeroconf(interfaces=list(interfaces) or InterfaceChoice.All)
 
 
@@ -60,7 +70,13 @@ async def _listen(network: Zeroconf, seconds: float, labels: tuple[str, ...]) ->
     fresh = asyncio.Event()
 
     def on_change(zeroconf: Zeroconf, service_type: str, name: str, state_change: ServiceStateChange) -> None:  # noqa: ARG001
-        if state_change is not ServiceStateChange.Removed:
+        if not _can_be_asked_for(name):
+            # Each question says what is known already, and with this among it zeroconf could ask nothing any more.
+            known = zeroconf.cache.get_all_by_details(SERVICE_TYPE, const._TYPE_PTR, const._CLASS_IN)
+            zeroconf.cache.async_remove_records(
+                [record for record in known if isinstance(record, DNSPointer) and record.alias == name]
+            )
+        elif state_change is not ServiceStateChange.Removed:
             names[name] = None
             fresh.set()
 
@@ -74,6 +90,11 @@ async def _listen(network: Zeroconf, seconds: float, labels: tuple[str, ...]) ->
                 await asyncio.wait_for(fresh.wait(), SETTLE_S if is_enough else seconds)
     await browser.async_cancel()
     return list(names)
+
+
+def _can_be_asked_for(name: str) -> bool:
+    """A label that was no text became longer when it was read as one."""
+    return all(len(label.encode()) <= MAX_LABEL_BYTES for label in name.split("."))
 
 
 def chosen(names: list[str], labels: tuple[str, ...]) -> list[AsyncServiceInfo]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import get_args
 
 import msgspec
+import psutil
 import pytest
 
 from robot.access import MESSAGE_ROLES
@@ -283,6 +284,30 @@ async def test_a_robot_that_is_silent_did_not_answer(monkeypatch: pytest.MonkeyP
         with pytest.raises(TimeoutError) as late:
             await connect_by_tls("127.0.0.1", port)
     assert connecting.in_words(late.value, f"127.0.0.1:{port}") == f"no answer from 127.0.0.1:{port}"
+
+
+async def test_a_robot_that_ends_the_handshake_may_have_access_control() -> None:
+    async def leave(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.read(1)
+        writer.transport.abort()
+
+    async with await asyncio.start_server(leave, "127.0.0.1", 0) as server:
+        port = server.sockets[0].getsockname()[1]
+        with pytest.raises(ConnectionRefused, match=f"127.0.0.1:{port} ended the connection before") as ended:
+            await connect_by_tls("127.0.0.1", port)
+    assert "access control" not in str(ended.value)
+
+
+async def test_where_the_file_of_robots_is_damaged_no_socket_is_left_open(tmp_path: Path) -> None:
+    robots = PairedRobots(tmp_path)
+    robots.path.write_text("no robots")
+    robots.path.chmod(0o600)
+    process = psutil.Process()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        before = process.num_fds()
+        with pytest.raises(ConfigError, match="is damaged") as kept:
+            await connecting.connect("127.0.0.1", server.getsockname()[1], robots)
+        assert process.num_fds() == before and kept
 
 
 async def test_a_station_without_tls_gets_no_word_from_a_guarded_robot(tmp_path: Path) -> None:

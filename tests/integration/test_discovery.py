@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
+import logging
 import socket
+import struct
+import threading
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import ifaddr
@@ -57,6 +63,65 @@ def test_an_announced_robot_is_found_and_a_closed_one_is_not() -> None:
         announcement.close()
     while FoundRobot(f"robot-{port}", "127.0.0.1", port) in find_robots(1.0, interfaces=LOOPBACK):
         continue  # the goodbye takes its time; a robot that never says it fails here by the test's own time limit
+
+
+@contextlib.contextmanager
+def shouted(packet: bytes) -> Iterator[None]:
+    """A stranger says this again and again."""
+    is_over = threading.Event()
+
+    def shout() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+            for option in (socket.SO_REUSEADDR, socket.SO_REUSEPORT):
+                stranger.setsockopt(socket.SOL_SOCKET, option, 1)
+            stranger.bind(("127.0.0.1", 5353))
+            stranger.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+            while not is_over.wait(0.05):
+                with contextlib.suppress(OSError):
+                    stranger.sendto(packet, ("224.0.0.251", 5353))
+
+    shouting = threading.Thread(target=shout)
+    shouting.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        shouting.join()
+
+
+def answer_of(service: bytes, host: bytes) -> bytes:
+    """A robot of this name at a host of that one; each is a label of a name, whose bytes DNS leaves free (RFC 1035)."""
+    kind = [label.encode() for label in SERVICE_TYPE.strip(".").split(".")]
+
+    def name(*labels: bytes) -> bytes:
+        return b"".join(bytes([len(label)]) + label for label in labels) + b"\0"
+
+    def record(owner: bytes, number: int, data: bytes) -> bytes:
+        return owner + struct.pack(">HHIH", number, 1, 120, len(data)) + data
+
+    pointer = record(name(*kind), 12, name(service, *kind))
+    place = record(name(service, *kind), 33, struct.pack(">HHH", 0, 0, 7400) + name(host, b"local"))
+    return struct.pack(">6H", 0, 0x8400, 0, 2, 0, 0) + pointer + place
+
+
+@pytest.mark.parametrize("service", [b"evil", b"\xff" * 60], ids=["its host", "and its own"])
+def test_a_stranger_whose_name_is_no_text_hides_no_other(service: bytes, caplog: pytest.LogCaptureFixture) -> None:
+    """Read as text it is longer than a name may be, and zeroconf raises where it asks for it."""
+    port = _free_port()
+    announcement = Announcement(f"robot-{port}", port, lambda: LOOPBACK, interfaces=LOOPBACK)
+    try:
+        assert_found(port)
+        time.sleep(1.1)  # who has just answered all says it again a second later (RFC 6762, section 6)
+        with shouted(answer_of(service, b"\xff" * 60)):
+            assert FoundRobot(f"robot-{port}", "127.0.0.1", port) in find_robots(10.0, [f"robot-{port}"], LOOPBACK)
+    finally:
+        announcement.close()
+    assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
+
+
+def test_a_machine_without_any_address_finds_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ifaddr, "get_adapters", list)
+    assert find_robots(0.1) == ()
 
 
 def test_a_robot_that_starts_before_its_network_is_announced_when_it_has_an_address(

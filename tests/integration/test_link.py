@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import time
 
 import pytest
 
+from robot.devices.ports import CapturedFrame, ImuReading
 from shared.errors import DeviceLost, LocalProtocolError
-from shared.messages import MAX_DRIVE_TTL_MS, Capabilities, Status
+from shared.messages import MAX_DRIVE_TTL_MS, CameraFrame, Capabilities, ErrorNotice, ImuBatch, Status
+from shared.prompt_sending import UNSENT_BYTES, UNSENT_COMMAND_BYTES
 from station.robots.link import RobotLink
 from tests.support.link import Bench, Notes, Proxy, linked, running_robot, until
 
@@ -35,6 +38,49 @@ async def test_frames_imu_and_reports_arrive_as_the_devices_made_them() -> None:
         assert notes.statuses[0].battery_v == 7.4
         state = link.state
         assert (state.imu_samples, state.imu_lost, state.frames, state.connections) == (500, 0, 1, 1)
+
+
+async def test_answers_go_before_inertial_samples_and_these_before_pictures() -> None:
+    order: list[str] = []
+
+    class Ordered(Notes):
+        def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
+            order.append("picture")
+
+        def on_imu(self, batch: ImuBatch) -> None:
+            order.append("samples")
+
+        def on_notice(self, notice: ErrorNotice) -> None:
+            order.append("answer")
+
+    async with running_robot() as bench:
+        link = RobotLink("127.0.0.1", bench.port, Ordered())
+        task = asyncio.create_task(link.run())
+        await until(lambda: link.state.connected)
+        server = bench.server  # all of it is there before the connection's turn
+        server._frames.put(CapturedFrame(0, 0, 640, 480, bytes(60_000)), time.monotonic_ns())
+        server._backlog.append(ImuReading(0, 0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81)))
+        server._broadcast(ErrorNotice(code="device", message="said"))
+        server._wake_all()
+        await until(lambda: len(order) == 3)
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+    assert order == ["answer", "samples", "picture"]
+
+
+@pytest.mark.skipif(not hasattr(socket, "TCP_NOTSENT_LOWAT"), reason="Linux's")
+async def test_what_waits_to_be_sent_waits_with_us_and_not_in_the_kernel() -> None:
+    async with running_robot() as bench, linked(bench.port) as (link, _):
+        await until(lambda: link.state.connected)
+        (client,) = bench.server._clients.values()
+        connection = link._connection
+        assert connection is not None
+        ends = [(client._writer, UNSENT_BYTES), (connection.writer, UNSENT_COMMAND_BYTES)]
+        for end, unsent_bytes in ends:
+            kernel = end.get_extra_info("socket")
+            assert kernel.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+            assert kernel.getsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT) == unsent_bytes
+            assert end.transport.get_write_buffer_limits() == (0, 1)
 
 
 async def test_a_link_that_is_ended_while_the_robot_leaves_ends() -> None:

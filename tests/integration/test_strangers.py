@@ -7,6 +7,7 @@ import asyncio
 import gc
 import json
 import logging
+import resource
 import ssl
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -20,7 +21,7 @@ from shared import reception
 from shared.access import Role
 from shared.reception import Caller
 from station.access.visitors import access_folder
-from station.api import connections, limits
+from station.api import connections, limits, serving
 from station.api.connections import MAX_SENT_AHEAD, MAX_STRANGERS, Connection
 from station.main import app as station_app
 from tests.support.access import Guarded, guarded_station
@@ -98,6 +99,18 @@ async def test_handshakes_that_are_never_finished_keep_nobody_out(tmp_path: Path
                 assert await socket.recv()
         finally:
             leave(stuck)
+
+
+def test_strangers_take_a_quarter_of_the_files_that_may_still_be_opened() -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    left = connections.descriptors_left()
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft - left + 80, hard))
+    try:
+        assert 76 <= connections.descriptors_left() <= 80
+        at_most = connections.Connections().max_strangers
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    assert at_most in (19, 20)
 
 
 async def test_silent_connections_keep_nobody_out(tmp_path: Path) -> None:
@@ -276,6 +289,24 @@ async def test_an_address_where_nobody_is_known_keeps_no_other_out(tmp_path: Pat
             assert await status_of(reader) == 503  # there is no robot
         finally:
             leave([known, *strangers])
+
+
+async def test_however_long_bodies_may_take_strangers_hold_no_more_of_them_than_they_have_seats(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By their time they would all end in the end, and whoever waits long enough gets in without seats, too."""
+    monkeypatch.setattr(limits, "STRANGERS_BODY", limits.BodyBounds(4096, 600.0))
+    monkeypatch.setattr(serving, "STRANGER_WITHIN_S", 600.0)
+    async with guarded_station(tmp_path) as station:
+        strangers = [await opened(station, f"127.0.0.{2 + n % 8}") for n in range(2 * MAX_STRANGERS)]
+        try:
+            for _, writer in strangers:
+                writer.write(head("/login", 4000) + bytes(100))
+            await ended(strangers, MAX_STRANGERS)
+            answer = await station.desk.http.post("/stop", headers=station.headers(Role.ADMIN))
+            assert answer.json()["type"] == "/problems/no-robot"
+        finally:
+            leave(strangers)
 
 
 async def test_stop_is_answered_while_strangers_hold_more_bodies_open_than_there_are_descriptors(

@@ -119,6 +119,17 @@ def test_a_picture_of_which_nothing_came_is_over_when_something_behind_it_came()
     assert station.path.newest_over == 2 and station.path.meter.unconfirmed_bytes == 0
 
 
+def test_a_report_of_pictures_that_never_were_ends_nothing() -> None:
+    station = Station(DatagramPath(TOLD), 1_000_000)
+    assert station.path.cut(frame(0), 0)
+    invented = (PictureArrival(picture=7, count=1, first_piece=0, first_held_ns=0, last_piece=0, last_held_ns=0),)
+    said = DatagramReport(seq=0, t_station_ns=0, newest=-1, pictures=invented)
+    station.path.receive(station.sealer.seal(encode_message(said)), 0)
+    station.path.end_picture()
+    station.take_picture(1)
+    assert station.whole == 1
+
+
 def test_a_picture_that_is_too_large_is_not_cut() -> None:
     assert DatagramPath(TOLD).cut(frame(0, MAX_PICTURE_BYTES), 0) is None
 

@@ -300,6 +300,11 @@ def desk(now_ns: int) -> tuple[CommandDesk, FakeMotors]:
     return command_desk, motors
 
 
+def holds_motion() -> bool:
+    """Whether the motors' guard wants them to move, told or not yet: its thread may not have had a turn."""
+    return guards[-1]._guard.next_deadline_ns() is not None
+
+
 def test_letting_go_counts_however_late_it_is_read() -> None:
     command_desk, motors = desk(9 * S)
     command_desk.handle(1, Drive(seq=1, t_station_ns=9 * S, linear=0.1, angular=0.0, ttl_ms=250), 9 * S)
@@ -313,6 +318,7 @@ def test_a_command_read_before_and_carried_out_after_a_standstill_moves_nothing(
     """SIGSTOP between reading and the motors: the clock has gone on when the command is carried out."""
     command_desk, motors = desk(11 * S)
     command_desk.handle(1, Drive(seq=1, t_station_ns=9 * S, linear=0.1, angular=0.0, ttl_ms=250), 9 * S)
+    assert not holds_motion()
     close_guards()
     assert (0.1, 0.0) not in motors.history
 
@@ -322,6 +328,6 @@ def test_a_command_starts_motors_only_in_the_first_half_of_its_life(late_ms: int
     """The driver fell silent; what it had said last comes when the motors rest, and is not over yet."""
     command_desk, motors = desk(9 * S + late_ms * MS)
     command_desk.handle(1, command(1, 9 * S), 9 * S + late_ms * MS)
-    assert not starts or motors.wait_for_last(0.1, 0.0)
+    assert holds_motion() is starts and (not starts or motors.wait_for_last(0.1, 0.0))
     close_guards()
     assert ((0.1, 0.0) in motors.history) is starts

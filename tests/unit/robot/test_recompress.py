@@ -104,6 +104,19 @@ async def test_pictures_that_are_late_by_their_turn_are_not_made_smaller(monkeyp
     assert first.smaller == newest.smaller == {20: b"smaller"}
 
 
+async def test_what_waits_at_the_end_is_left_without_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    library, said, made = Library(monkeypatch), list[object](), asyncio.Event()
+    asyncio.get_running_loop().set_exception_handler(lambda _, told: said.append(told))
+    recompressor = Recompressor(made.set, lambda: 0)
+    for jpeg in (b"first", b"second"):
+        recompressor.begin(picture(jpeg, 0), 20)
+    recompressor.close()
+    library.may_go_on.release(2)
+    async with asyncio.timeout(60):
+        await made.wait()
+    assert library.asked == [b"first"] and not said
+
+
 async def test_a_station_has_one_picture_under_way_or_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
     """However many the camera makes while one of them is made smaller."""
     library, made, now_ns = Library(monkeypatch), asyncio.Event(), 0

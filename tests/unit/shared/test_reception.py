@@ -39,10 +39,12 @@ class Spoken(asyncio.Protocol):
 
 
 @asynccontextmanager
-async def received(listener: socket.socket, order: list[str]) -> AsyncIterator[None]:
+async def received(
+    listener: socket.socket, order: list[str], *, limit: int = 4 * STRANGERS, within_s: float = WITHIN_S
+) -> AsyncIterator[None]:
     known = Seats(8, 8)
     reception = Reception(
-        listener, {}, 4 * STRANGERS, WITHIN_S, lambda caller: Spoken(caller, known, order), callers_speak_first=True
+        listener, {}, limit, within_s, lambda caller: Spoken(caller, known, order), callers_speak_first=True
     )
     running = asyncio.create_task(reception.run())
     try:
@@ -75,6 +77,42 @@ async def test_who_is_familiar_does_not_wait_for_a_crowd_of_strangers() -> None:
             with call(listener, OWNER):
                 await until_spoken(order, STRANGERS + 2)
     assert OWNER in order[1 : 1 + HANDSHAKES_AT_ONCE]
+
+
+async def until_ended(connection: socket.socket) -> None:
+    connection.setblocking(False)
+    async with asyncio.timeout(WITHIN_S):
+        with contextlib.suppress(ConnectionResetError):
+            assert await asyncio.get_running_loop().sock_recv(connection, 1) == b""
+
+
+def is_open(connection: socket.socket) -> bool:
+    connection.setblocking(False)
+    try:
+        return bool(connection.recv(1))
+    except BlockingIOError:
+        return True
+    except ConnectionResetError:
+        return False
+
+
+async def test_one_address_has_half_of_the_strangers_seats() -> None:
+    order: list[str] = []
+    async with received(listener := bind("127.0.0.1", 0), order, limit=8):
+        with contextlib.ExitStack() as crowd:
+            connections = [crowd.enter_context(call(listener, STRANGER)) for _ in range(8)]
+            for connection in connections[:4]:
+                await until_ended(connection)
+            await until_spoken(order, 4)
+            assert all(map(is_open, connections[4:]))
+
+
+async def test_nobody_stays_a_stranger_for_long_and_who_is_known_stays() -> None:
+    order: list[str] = []
+    async with received(listener := bind("127.0.0.1", 0), order, within_s=0.2):
+        with call(listener, OWNER) as owner, call(listener, STRANGER) as stranger:
+            await until_ended(stranger)
+            assert is_open(owner)
 
 
 async def test_who_has_gone_without_a_word_is_not_received() -> None:

@@ -160,6 +160,15 @@ def test_our_own_pause_is_not_the_peers_silence() -> None:
     assert robot.state is State.ACTIVE
 
 
+def test_a_word_that_is_read_behind_our_own_pause_is_of_now_and_not_of_later() -> None:
+    robot, station = joined_pair()
+    robot.tick(0)
+    pause_ns = CLOSE_AFTER_NS // 2
+    say(station, robot, Heartbeat(seq=1, t_station_ns=5), pause_ns)
+    quiet, closed = (pause_ns + QUIET_AFTER_NS, Tick.WENT_QUIET), (pause_ns + CLOSE_AFTER_NS, Tick.CLOSE)
+    assert tick_through(robot, pause_ns, 3 * CLOSE_AFTER_NS) == [quiet, closed]
+
+
 def test_station_sends_heartbeats_only_once_joined() -> None:
     _, station = joined_pair()
     beats = [t for t, duty in tick_through(station, 0, 950 * MS) if duty is Tick.SEND_HEARTBEAT]

@@ -13,6 +13,7 @@ from fastapi import FastAPI
 
 import station.api.limits
 import station.api.replay
+import station.api.robot
 import station.api.streams
 import station.errors
 from shared.mcap_recording import RecordedPicture
@@ -105,14 +106,14 @@ async def test_a_body_has_no_room_for_so_many_mistakes_that_others_wait(tmp_path
 class Peer:
     """The other end of one of the app's WebSockets."""
 
-    def __init__(self, app: FastAPI, path: str) -> None:
+    def __init__(self, app: FastAPI, path: str, query: bytes = b"") -> None:
         self.said: list[Any] = []  # by the app
         self._heard: asyncio.Queue[Any] = asyncio.Queue()
         scope = {
             "type": "websocket",
             "path": path,
             "raw_path": path.encode(),
-            "query_string": b"",
+            "query_string": query,
             "headers": [(b"host", b"127.0.0.1:8080")],
             "subprotocols": [],
             "scheme": "ws",
@@ -145,6 +146,21 @@ async def test_a_binary_message_closes_a_text_socket_with_a_sentence(tmp_path: P
     await until(lambda: peer.closed)
     assert peer.closed == (UNSUPPORTED, "this socket takes text, not binary messages")
     await peer.leave()
+
+
+async def test_a_drive_socket_that_ends_lets_go_although_what_is_said_on_it_has_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here, released = Station(StationConfig(data_dir=tmp_path)), list[str]()
+    driving = here.first.driving
+    monkeypatch.setattr(station.api.robot, "_now_ms", lambda: 1 // 0)
+    monkeypatch.setattr(type(driving), "driver", property(lambda _: "anna"))
+    monkeypatch.setattr(driving, "release", released.append)
+    peer = Peer(make_api(here), "/ws/drive", b"driver=anna")
+    await until(lambda: peer.said)
+    with pytest.raises(ZeroDivisionError):
+        await peer.leave()
+    assert released == ["anna"]
 
 
 @pytest.mark.parametrize("path", ["/ws/drive", "/ws/camera", "/ws/events"])
