@@ -7,8 +7,7 @@ import contextlib
 import random
 from collections.abc import Collection, Sequence
 
-from zeroconf import BadTypeInNameException, Error, InterfaceChoice, ServiceStateChange, Zeroconf, const
-from zeroconf._dns import DNSPointer
+from zeroconf import BadTypeInNameException, Error, InterfaceChoice, ServiceStateChange, Zeroconf
 from zeroconf.asyncio import AsyncServiceBrowser, AsyncServiceInfo, AsyncZeroconf
 
 from shared.discovery import SERVICE_TYPE, ipv6_interfaces, own_addresses, service_label
@@ -18,7 +17,7 @@ SETTLE_S = 0.5  # all answer a question within a tenth of a second, or a second 
 LOOKUP_MS = 1000
 MAX_SERVICES = 32  # looked up at once; of more by chance, so that nobody can fill the list for long
 MAX_ADDRESSES = 4  # of one service
-MAX_LABEL_BYTES = 63  # RFC 1035
+MAX_LABEL_BYTES, TYPE_PTR, CLASS_IN = 63, 12, 1  # RFC 1035
 
 
 def find_robots(
@@ -72,10 +71,8 @@ async def _listen(network: Zeroconf, seconds: float, labels: tuple[str, ...]) ->
     def on_change(zeroconf: Zeroconf, service_type: str, name: str, state_change: ServiceStateChange) -> None:  # noqa: ARG001
         if not _can_be_asked_for(name):
             # Each question says what is known already, and with this among it zeroconf could ask nothing any more.
-            known = zeroconf.cache.get_all_by_details(SERVICE_TYPE, const._TYPE_PTR, const._CLASS_IN)
-            zeroconf.cache.async_remove_records(
-                [record for record in known if isinstance(record, DNSPointer) and record.alias == name]
-            )
+            known = zeroconf.cache.get_all_by_details(SERVICE_TYPE, TYPE_PTR, CLASS_IN)
+            zeroconf.cache.async_remove_records([one for one in known if getattr(one, "alias", None) == name])
         elif state_change is not ServiceStateChange.Removed:
             names[name] = None
             fresh.set()
