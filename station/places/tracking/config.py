@@ -16,7 +16,8 @@ class BeliefConfig:
     unknown_from: float = 0.5
     prior_unmapped: float = 0.4  # of a robot that was just put down somewhere
     other_room_per_m: float = 0.25  # rooms are some 4 m wide
-    unnoticed_move_per_s: float = 1e-4  # picked up without any sensor noticing: once in three hours
+    carried_per_s: float = 1e-4  # by somebody, elsewhere: once in three hours
+    unfelt: float = 0.01  # of the times that a robot on wheels is: no sensor feels it
     false_localization_floor: float = 0.02
     deceived_again: float = 0.5  # of the wrong images: deceived by what deceived an earlier one, at a pose that fits it
     memory_s: float = 15.0  # landmarks and views that come again within this time are nothing new
@@ -42,12 +43,17 @@ class BeliefConfig:
         """Of a robot that was just put down somewhere: in a map."""
         return 1.0 - self.prior_unmapped
 
+    @property
+    def unnoticed_move_per_s(self) -> float:
+        return self.unfelt * self.carried_per_s
+
     def for_rig(self, has_wheels: bool) -> BeliefConfig:
-        """For what carries the sensors."""
+        """For what carries the sensors. What moves in somebody's hands all the time feels nothing special."""
         if has_wheels:
             return self
         return replace(
             self,
+            unfelt=1.0,
             blind_speed_m_s=self.carried * self.blind_speed_m_s,
             blind_turn_rad_s=self.carried * self.blind_turn_rad_s,
         )

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from shared.calibration import REFERENCE_HEAD
+from shared.calibration import REFERENCE_HEAD, Rig
 from shared.geometry import se3
 from shared.head import turned
 from station.motion.head import AHEAD, Aim
 from station.places.tracking.current import CurrentPlaceEstimator
 from station.places.tracking.map_view import MapView
 from station.places.tracking.report import largest
-from tests.support.places import R_BODY_CAM, SECOND, estimator_of, make_map, pose, seen
+from tests.support.places import CONFIG, R_BODY_CAM, SECOND, estimator_of, make_map, pose, seen
 
 
 @pytest.mark.parametrize("scale", [None, 0.3])
@@ -279,6 +280,20 @@ def test_going_over_to_another_position_is_a_jump_and_driving_there_is_none() ->
         jumps.append(estimator.on_candidates([seen(k, pose(0.5, 0, 0.4 * (k - 8)))]))
     told = [jump for jump in jumps if jump is not None]
     assert len(told) == 1 and told[0].distance_m == pytest.approx(4.75, abs=0.3)
+
+
+@pytest.mark.parametrize("rig", ["wheels", "hand-held"])
+def test_a_robot_that_feels_being_carried_needs_more_to_be_elsewhere_than_a_rig_in_a_hand(rig: Rig) -> None:
+    place_map = make_map()
+    calibration = msgspec.structs.replace(place_map.navigation.calibration, rig=rig)
+    estimator = CurrentPlaceEstimator([place_map], calibration, CONFIG)
+    for k in range(60):
+        estimator.on_odometry(k * SECOND, pose(0.1 * k, 0.0))
+        estimator.on_candidates([seen(k, pose(0.1 * k, 0.0))])
+    for k in (60, 61):  # a look-alike, to and fro
+        estimator.on_odometry(k * SECOND, pose(6.0, 0.0, 0.1 * k))
+        estimator.on_candidates([seen(k, pose(1.0, 3.0, 0.1 * k), inliers=60, extent=0.5)])
+    assert (estimator.answer(61 * SECOND).state == "known") == (rig == "wheels")
 
 
 @pytest.mark.parametrize(("views_before", "is_moved"), [(1, False), (30, True)])
