@@ -68,7 +68,7 @@ class Worker(Generic[ProgramT, EventT]):
         self._program = program
         self._limits = dict(limits or {})
         self._head_start_s = head_start_s
-        self._outbox: Outbox[Asked] = Outbox()
+        self._outbox: Outbox[bytes] = Outbox()  # packed: what waits for a slow worker is ten times as large otherwise
         self._on_event = on_event
         self._on_death = on_death
         self._on_failure = on_failure
@@ -124,8 +124,7 @@ class Worker(Generic[ProgramT, EventT]):
         """Ask without waiting for an answer. False when an older request for this method was dropped for it."""
         if self._dead or self._closing:
             return False
-        asked = Asked(None, method.__name__, args, kwargs)
-        return self._outbox.put(method, asked, self._limits.get(method, Limit()))
+        return self._put(method, Asked(None, method.__name__, args, kwargs), self._limits.get(method, Limit()))
 
     async def call(
         self,
@@ -154,7 +153,7 @@ class Worker(Generic[ProgramT, EventT]):
         number = self._next_call
         self._calls[number] = future
         future.add_done_callback(lambda _: self._calls.pop(number, None))
-        self._outbox.put("call", Asked(number, method.__name__, args, kwargs), Limit())
+        self._put("call", Asked(number, method.__name__, args, kwargs), Limit())
         return future
 
     def kill(self) -> None:
@@ -169,7 +168,7 @@ class Worker(Generic[ProgramT, EventT]):
         """Let the process end after its present request; kill it when that takes long."""
         if not self._closing and not self._dead:
             # No SIGTERM: libraries in there install handlers that print stack traces.
-            self._outbox.put("end", Asked(None, "", (), {}), Limit())
+            self._put("end", Asked(None, "", (), {}), Limit())
         self._closing = True
         if self._spawning is not None:
             await asyncio.wait({self._spawning})
@@ -197,13 +196,17 @@ class Worker(Generic[ProgramT, EventT]):
             )
             self._process.start()
 
+    def _put(self, kind: Hashable, asked: Asked, limit: Limit) -> bool:
+        """False when an older one was dropped for it. One that cannot be sent fails as if the program had raised."""
+        try:
+            data = pickle.dumps(asked, pickle.HIGHEST_PROTOCOL)
+        except Exception as exc:  # pickling runs the code of what it is given
+            self._receive(Reply(asked.call, False, WorkerFailed(f"{asked.method} cannot be sent: {exc}")))
+            return True
+        return self._outbox.put(kind, data, limit)
+
     async def _write(self, writer: asyncio.StreamWriter) -> None:
-        while (asked := await self._outbox.get()) is not None:
-            try:
-                data = pickle.dumps(asked, pickle.HIGHEST_PROTOCOL)
-            except Exception as exc:  # pickling runs the code of what it is given
-                self._receive(Reply(asked.call, False, WorkerFailed(f"{asked.method} cannot be sent: {exc}")))
-                continue
+        while (data := await self._outbox.get()) is not None:
             try:
                 writer.write(LENGTH.pack(len(data)) + data)  # some Pythons' `writelines` never make `drain` wait
                 await writer.drain()

@@ -136,6 +136,16 @@ async def test_what_a_busy_worker_has_not_taken_may_still_be_dropped() -> None:
         assert worker.dropped[Puppet.reverse] == kept.count(False) and worker.waiting(Puppet.reverse) == 0
 
 
+async def test_what_waits_is_packed_already() -> None:
+    heard: list[list[float]] = []
+    async with started(on_event=heard.append) as worker:
+        sample = [0.5, 1.5]
+        worker.post(Puppet.emit, sample)
+        sample.append(2.5)
+        await worker.call(Puppet.niceness)
+    assert heard == [[0.5, 1.5]]
+
+
 async def test_what_cannot_be_sent_is_told_to_who_asks_and_the_next_is_sent() -> None:
     async with started() as worker:
         with pytest.raises(WorkerFailed, match="cannot be sent"):
@@ -169,8 +179,10 @@ async def test_work_that_could_wait_and_fails_again_and_again_is_told_once() -> 
     failures: list[str] = []
     async with started(on_failure=failures.append) as worker:
         await worker.call(Puppet.leave_for_later, "stumble", "stumble", "stumble")
+        await until(lambda: len(failures) == 1)  # it comes when no request does
         for _ in range(4):
             await worker.call(Puppet.niceness)
+            await asyncio.sleep(0.02)
     assert failures == ["work that could wait failed: ZeroDivisionError: a bug"]
 
 
