@@ -11,12 +11,12 @@ from collections.abc import Callable
 
 from robot.datagram_sender import Address
 from robot.station_client import StationClient
-from shared.datagrams import KEY_BYTES, MAX_DATAGRAM, session_of
+from shared.datagram_socket import waiting_datagrams
+from shared.datagrams import KEY_BYTES, session_of
 from shared.messages import AskDatagrams, Datagrams, StationDatagram
 
 logger = logging.getLogger(__name__)
 
-READ_AT_ONCE = 64  # then the event loop turns
 THIN_FOR_NS = 60_000_000_000  # a station that is back sooner is not asked to find out again that its network is thin
 
 
@@ -77,12 +77,10 @@ class DatagramPort:
         self._clients = {session: known for session, known in self._clients.items() if known is not client}
 
     def _read(self, port: socket.socket) -> None:
-        with contextlib.suppress(OSError):  # also what the last one sent has met on its way
-            for _ in range(READ_AT_ONCE):
-                datagram, address = port.recvfrom(MAX_DATAGRAM + 1)
-                client = self._clients.get(session_of(datagram))
-                if client is not None and client.datagrams is not None:
-                    client.datagrams.receive(datagram, address)
+        for datagram, address in waiting_datagrams(port):
+            client = self._clients.get(session_of(datagram))
+            if client is not None and client.datagrams is not None:
+                client.datagrams.receive(datagram, address)
 
     def _send(self, datagram: bytes, address: Address) -> None:
         """What finds no room is lost, as on the way."""

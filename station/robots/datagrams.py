@@ -9,7 +9,8 @@ import socket
 from collections.abc import Callable
 from typing import Any
 
-from shared.datagrams import MAX_DATAGRAM, Opener, Sealer
+from shared.datagram_socket import waiting_datagrams
+from shared.datagrams import Opener, Sealer
 from shared.errors import RemoteProtocolError
 from shared.message_codec import decode_robot_message, encode_message
 from shared.messages import (
@@ -27,7 +28,6 @@ from shared.picture_pieces import MESSAGE, PIECE, ArrivingPicture, Assembler
 
 logger = logging.getLogger(__name__)
 
-READ_AT_ONCE = 64  # then the event loop turns
 OPENS_WITHIN_REPORTS = 50  # five seconds: until something comes they are those of heartbeats
 RECEIVE_BYTES = 1 << 20  # of the kernel's buffer: a busy moment of ours must not lose what the network carried
 
@@ -120,9 +120,8 @@ class PictureDatagrams:
             self._socket.sendto(self._sealer.seal(encode_message(message)), self._robot)
 
     def _read(self) -> None:
-        with contextlib.suppress(OSError):
-            for _ in range(READ_AT_ONCE):
-                self._receive(self._socket.recv(MAX_DATAGRAM + 1))
+        for datagram, _ in waiting_datagrams(self._socket):
+            self._receive(datagram)
 
     def _receive(self, datagram: bytes) -> None:
         content = None if self._opener is None else self._opener.open(datagram)
