@@ -32,7 +32,7 @@ from tests.support.stopping import firmware as stop_firmware
 from tests.support.stopping import report as stop_report
 from tests.support.stopping.chain import Chain, LineEntry
 from tests.support.stopping.faults import FAULTS, Fault, Instant
-from tests.support.stopping.report import PINS_BOUND_MS, SERVER_BOUND_MS, Judged, started_at_us
+from tests.support.stopping.report import PINS_BOUND_MS, SERVER_BOUND_MS, Judged, started_at_us, was_stopped
 
 GIVE_UP_S = 3.0  # all waits are in the Mega's time
 HELD_S = 0.3  # the joystick is still held after the stop
@@ -87,8 +87,14 @@ async def trial(chain: Chain, fault: Fault, rng: random.Random) -> Judged:
     """Drive, break, watch, let go, mend, watch."""
     chain.forget()
     await chain.moving()
+    moved_us = await chain.mark()
     await asyncio.sleep(0.06 * rng.random())  # any phase of the 50 ms between two commands
     instant = await fault.inject(chain, rng)
+    if was_stopped(chain.events(), moved_us, instant.mega_us):
+        assert chain.page is not None
+        chain.page.holds = False
+        await mend(chain, fault)
+        return await trial(chain, fault, rng)
     zero = None
     while zero is None or (fault.is_above_server and server_stop(chain.line_log()) is None):
         if await chain.mark() > instant.mega_us + GIVE_UP_S * 1e6:

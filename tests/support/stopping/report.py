@@ -123,6 +123,15 @@ def verdict(results: list[Judged]) -> str:
     )
 
 
+def was_stopped(events: Iterable[BoardEvent], since_us: int, until_us: int) -> bool:
+    """Whether the Mega was told to stop, or its motors stood, between two moments of its time.
+
+    Before a fault that is a busy PC's doing: it held a word up for longer than words live. A fault that comes on top
+    finds motors at rest, and takes those that go on by themselves for its own.
+    """
+    return any(event.text in ("in 11", "pins 0 0") for event in events if since_us < event.t_mega_us <= until_us)
+
+
 def started_at_us(events: list[BoardEvent], t_us: int) -> int | None:
     """When the motors first turned again after a moment of rest; None while they did not."""
     moves = (e.t_mega_us for e in events if e.text.startswith("pins ") and e.text != "pins 0 0" and e.t_mega_us > t_us)

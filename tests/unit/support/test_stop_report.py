@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from robot.devices.emulated.board import BoardEvent
-from tests.support.stopping.report import Judged, refusals, started_at_us
+from tests.support.stopping.report import Judged, refusals, started_at_us, was_stopped
 
 GOOD = Judged("page closed", server_ms=200.0, pins_ms=250.0, commit="a")
 
@@ -28,3 +28,11 @@ def test_motion_at_any_time_after_the_stop_is_seen() -> None:
     events = [BoardEvent(t, t * 1000, text) for t, text in ((10, "pins 500 500"), (20, "pins 0 0"), (700, "pins 1 0"))]
     assert started_at_us(events, 20) == 700
     assert started_at_us(events, 700) is None
+
+
+def test_motors_that_a_busy_computer_stopped_before_a_fault_are_told_from_those_that_the_fault_stops() -> None:
+    events = [BoardEvent(t, t * 1000, text) for t, text in ((10, "in 10"), (20, "pins 500 500"), (30, "in 11"))]
+    assert was_stopped(events, 10, 30)
+    assert not was_stopped(events, 10, 29)
+    assert not was_stopped(events, 30, 40)
+    assert was_stopped([BoardEvent(15, 15000, "pins 0 0")], 10, 20)
