@@ -28,7 +28,7 @@ from station.model.navigation import Trajectory
 from station.slam.backends import make_backend
 
 # Metres. Of the real flight and of the rendered V1_02; flats as a share of their path, %.
-BOUNDS = {"flight": (0.020, 0.012), "v102": (0.035, 0.025)}
+BOUNDS = {"flight": (0.016, 0.012), "v102": (0.035, 0.025)}
 
 
 def judge(path: Path, group: str, name: str) -> dict[str, Any]:

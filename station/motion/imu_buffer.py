@@ -22,18 +22,22 @@ class Shaking:
     """How what shakes the sensor is measured, and how much of it is noise: of its own motion it reads the truth."""
 
     block_s: float  # it is measured over means of so many seconds of samples; 0: from sample to sample
-    noise_share: float  # of its standard deviation
+    noise_share: float  # of its standard deviation, from picture to picture
+    link_share: float  # the same where keyframes are linked over seconds
     by_axis: bool  # else each of a sensor's three counts as noisy as they are on the whole
 
 
 # Propellers shake the whole rig, in tones: nearly all of it is motion that integrates to nothing. Of EuRoC's flight it
 # makes the noise about 2 (gyroscope) and 4 (accelerometer) times the data sheet's. Which axis the tones are strong in
 # does not say which one they leave a tenth in: axis by axis the filter followed that flight within 26 mm, else 17.
-IN_THE_AIR = Shaking(block_s=0.0, noise_share=0.1, by_axis=False)
+# Some of it comes back as a bias that comes and goes, which weighs on a problem of many seconds: against the truth of
+# two EuRoC flights the Allan deviation at 0.5 and 1 s is what 0.17 to 0.29 of the shaking would leave as white noise
+# (docs/studies/ukf-map.md). The filter with that share was worse off.
+IN_THE_AIR = Shaking(block_s=0.0, noise_share=0.1, link_share=0.2, by_axis=False)
 # Motors, gears and floor shake a small robot's IMU at all frequencies, more than its body. Means of 0.02 s hardly bend
 # with its own motion, and what does not average out within them does not in the estimate either. A floor shakes upward,
 # and the level axes tell the scale.
-ON_WHEELS = Shaking(block_s=0.02, noise_share=1.0, by_axis=True)
+ON_WHEELS = Shaking(block_s=0.02, noise_share=1.0, link_share=1.0, by_axis=True)
 
 
 @dataclass(slots=True)
@@ -113,18 +117,19 @@ class ImuBuffer:
         a, b = np.searchsorted(self._t, [start_ns, end_ns + 1])
         return ImuBatch(self._t[a:b], self._gyro[a:b], self._noise.forces(self._accel[a:b]))
 
-    def segment(self, start_ns: int, end_ns: int) -> ImuSegment:
+    def segment(self, start_ns: int, end_ns: int, is_link: bool = False) -> ImuSegment:
         """Steps from start to end: means of neighbouring samples, interpolated at both ends; forces, as in `samples`.
 
         Before the first and after the last sample their values are held. A gap is one long interpolated step whose
         noise grows with the gap; readings at the sensor's range get ten times the noise.
+        is_link: between keyframes of a problem that spans seconds (see Shaking).
         """
         inside = (self._t > start_ns) & (self._t < end_ns)
         t = np.concatenate([[start_ns], self._t[inside], [end_ns]])
         gyro = np.vstack([self._at(start_ns, self._gyro), self._gyro[inside], self._at(end_ns, self._gyro)])
         accel = np.vstack([self._at(start_ns, self._accel), self._accel[inside], self._at(end_ns, self._accel)])
         dt = np.diff(t) * 1e-9
-        scale = np.broadcast_to(self._noise_scale(start_ns, end_ns), (len(dt), 6)).copy()
+        scale = np.broadcast_to(self._noise_scale(start_ns, end_ns, is_link), (len(dt), 6)).copy()
         gap = self._is_gap(dt)
         if gap.any():
             # Motion between the ends is unknown: about 1 m/s^2 and 1 rad/s^2 of change, far above the white noise.
@@ -143,7 +148,7 @@ class ImuBuffer:
             noise_scale=scale,
         )
 
-    def _noise_scale(self, start_ns: int, end_ns: int) -> FloatArray:
+    def _noise_scale(self, start_ns: int, end_ns: int, is_link: bool) -> FloatArray:
         """How much larger (6,) the noise of each gyro and accel axis is than on a resting sensor, from the data alone.
 
         The third difference of neighbouring means removes motion and keeps noise.
@@ -161,7 +166,8 @@ class ImuBuffer:
             power = np.repeat(power.reshape(2, 3).mean(axis=1), 3)
         at_rest = self._noise.densities / np.sqrt(block * self._expected_dt_s)
         measured = power / at_rest**2
-        return np.sqrt(1.0 + self._shaking.noise_share**2 * np.maximum(measured - 1.0, 0.0))
+        share = self._shaking.link_share if is_link else self._shaking.noise_share
+        return np.sqrt(1.0 + share**2 * np.maximum(measured - 1.0, 0.0))
 
     def _at(self, t_ns: int, values: FloatArray) -> FloatArray:
         """Value (3,) at a time, linear between samples, held beyond them; zero without any."""

@@ -39,7 +39,7 @@ def ate(trajectory: Trajectory, data: Dataset) -> float:
 
 
 @needs_data
-def test_real_flight_is_followed_within_twelve_millimetres_with_the_same_bits_on_two_threads() -> None:
+def test_real_flight_is_known_within_12_mm_and_followed_within_16_with_the_same_bits_on_two_threads() -> None:
     with threadpool_limits(limits=1):
         data, one, updates = run("euroc_v1_01_flight")
     with threadpool_limits(limits=2):
@@ -49,8 +49,13 @@ def test_real_flight_is_followed_within_twelve_millimetres_with_the_same_bits_on
     assert len(one.landmarks) > 150
     assert one.id == two.id
     assert one.trajectory.T_world_body.tobytes() == two.trajectory.T_world_body.tobytes()
-    poses = [u.T_world_body for u in updates if u.T_world_body is not None]
+    seen = [
+        (t, u.T_world_body) for t, u in zip(data.frame_times_ns, updates, strict=True) if u.T_world_body is not None
+    ]
+    poses = [T for _, T in seen]
     assert len(poses) > 60
+    # A global shutter without a time shift: images have the IMU's times.
+    assert ate(Trajectory(np.array([t for t, _ in seen]), np.array(poses)), data) < 0.016
     assert (
         np.array(poses).tobytes() == np.array([u.T_world_body for u in again if u.T_world_body is not None]).tobytes()
     )

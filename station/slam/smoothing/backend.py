@@ -265,7 +265,7 @@ class SmoothingBackend:
         bias = np.concatenate([state.bias_gyro, state.bias_accel])
         if window.keyframes:
             before = window.keyframes[-1]
-            segment = self._odometry.imu.segment(before.source.t_imu_ns, source.t_imu_ns)
+            segment = self._odometry.imu.segment(before.source.t_imu_ns, source.t_imu_ns, is_link=True)
             link = preintegrate(segment, before.bias, self._noise)
         return SmoothKeyframe(
             number=len(self._keyframes),

@@ -15,12 +15,12 @@ NOISE = ImuNoise(gyro_density=2e-4, accel_density=2e-3, gyro_walk=2e-5, accel_wa
 T_S = np.arange(800) / NOISE.rate_hz
 
 
-def noise_scale(gyro: FloatArray, accel: FloatArray, shaking: Shaking = ON_WHEELS) -> FloatArray:
+def noise_scale(gyro: FloatArray, accel: FloatArray, shaking: Shaking = ON_WHEELS, is_link: bool = False) -> FloatArray:
     """(6,) mean over the stream of what the segments between pictures say."""
     buffer = ImuBuffer(NOISE, shaking)
     t_ns = np.rint(T_S * 1e9).astype(np.int64)
     buffer.add(ImuBatch(t_ns, gyro, accel))
-    segments = [buffer.segment(int(t), int(t) + 50_000_000) for t in t_ns[200:-20:20]]
+    segments = [buffer.segment(int(t), int(t) + 50_000_000, is_link) for t in t_ns[200:-20:20]]
     return np.asarray(np.mean([s.noise_scale[0] for s in segments], axis=0))
 
 
@@ -39,6 +39,16 @@ def test_on_wheels_what_shakes_one_axis_is_noise_of_that_axis_only() -> None:
     assert scale == pytest.approx([1.0, 1.0, 1.0, 1.0, 1.0, 6.0], rel=0.2)
     in_the_air = noise_scale(white(6, NOISE.gyro_density), accel, IN_THE_AIR)[3:]
     assert in_the_air == pytest.approx(np.full(3, np.sqrt(1.0 + 0.01 * (38.0 / 3.0 - 1.0))), rel=0.05)
+
+
+def test_in_the_air_more_of_the_shaking_is_noise_between_keyframes_than_from_picture_to_picture() -> None:
+    gyro, accel = white(7, 20.0 * NOISE.gyro_density), white(8, NOISE.accel_density)
+    to_next, between = (noise_scale(gyro, accel, IN_THE_AIR, is_link) for is_link in (False, True))
+    assert to_next[:3] == pytest.approx(np.full(3, np.sqrt(1.0 + (0.1 * 20.0) ** 2)), rel=0.1)
+    assert between[:3] == pytest.approx(np.full(3, np.sqrt(1.0 + (0.2 * 20.0) ** 2)), rel=0.1)
+    assert between[3:] == pytest.approx(np.ones(3), abs=0.05)  # nothing shakes the accelerometer
+    on_wheels = [noise_scale(gyro, accel, ON_WHEELS, is_link) for is_link in (False, True)]
+    assert np.array_equal(*on_wheels)
 
 
 def test_a_resting_sensor_has_the_noise_of_its_data_sheet() -> None:
