@@ -246,6 +246,21 @@ async def test_the_connection_of_a_revoked_stream_ends_and_is_not_kept_for_more(
         await asyncio.gather(filming, return_exceptions=True)
 
 
+@pytest.mark.parametrize("hosts", [("127.0.0.1", "evil.example"), ("evil.example", "127.0.0.1"), ("127.0.0.1",) * 2])
+@pytest.mark.parametrize("path", ["/robot", "/ws/events"])
+async def test_a_request_of_two_hosts_is_refused(tmp_path: Path, hosts: tuple[str, str], path: str) -> None:
+    upgrade = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
+    async with running_station(1, tmp_path) as desk:
+        address = httpx.URL(desk.address)
+        reader, writer = await asyncio.open_connection(address.host, address.port)
+        head = [f"GET {path} HTTP/1.1", *(f"Host: {host}" for host in hosts)]
+        key = f"{upgrade}Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n" if path.startswith("/ws") else ""
+        writer.write(("\r\n".join(head) + f"\r\n{key}\r\n").encode())
+        answer = await reader.read()
+        assert answer.startswith(b"HTTP/1.1 4"), answer[:200]
+        writer.close()
+
+
 async def test_who_only_watches_takes_back_nobodys_stop_under_the_drivers_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
