@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import io
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 from pathlib import Path
 from typing import Any, cast
 
@@ -102,6 +102,14 @@ class _Loader(yaml.SafeLoader):
         if self.check_event(yaml.AliasEvent):
             raise MarkedYAMLError(problem="it has an alias, which is not read")
         return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        """A key that stands there twice would count by its last value, and a person sees the first."""
+        keys = [key for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        for number, key in enumerate(keys):
+            if any((key.tag, key.value) == (other.tag, other.value) for other in keys[:number]):
+                raise MarkedYAMLError(problem=f"{shown(key.value)} stands there twice", problem_mark=key.start_mark)
+        return super().construct_mapping(node, deep)
 
 
 def read_rig(content: dict[str, Any], path: Path) -> Rig:
