@@ -242,9 +242,9 @@ def read_bare_camera(path: Path) -> CameraCalibration:
 def read_folder_camera(folder: Path, image_size: Callable[[], tuple[int, int]]) -> CameraCalibration:
     """The camera of a folder of images: its `camera.yaml`, or `camera-intrinsics.txt` and the size of an image."""
     yaml_path, text_path = (folder / name for name in CAMERA_FILES)
-    if yaml_path.is_file():
+    if yaml_path.exists():
         return read_bare_camera(yaml_path)
-    if not text_path.is_file():
+    if not text_path.exists():
         raise DataError(f"{folder} has no camera.yaml (or camera-intrinsics.txt); write the camera's intrinsics there")
     (fx, _, cx), (_, fy, cy), _ = read_intrinsics_text(text_path).tolist()
     width, height = image_size()  # and 30 images a second, as 7-Scenes has them
@@ -257,7 +257,7 @@ def read_folder_depth(folder: Path, image_size: Callable[[], tuple[int, int]]) -
     Nobody says where it sits beside the camera: as if in its place. None where the file is not there.
     """
     path = folder / DEPTH_FILE
-    if not path.is_file():
+    if not path.exists():
         return None
     (fx, _, cx), (_, fy, cy), _ = read_intrinsics_text(path).tolist()
     width, height = image_size()
