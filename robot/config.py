@@ -15,7 +15,7 @@ from shared.bounded import MAX_SETTINGS_BYTES, parse_toml, read_text
 from shared.discovery import DEFAULT_PORT
 from shared.errors import ConfigError
 from shared.messages import MAX_ANGULAR_RAD_S, MAX_LINEAR_M_S, MAX_NAME_LENGTH
-from shared.text import SEEN_WHOLE, explain
+from shared.text import SEEN_WHOLE, explain, is_unseen
 
 Positive = Annotated[float, Meta(gt=0)]
 ShortText = Annotated[str, Meta(max_length=MAX_NAME_LENGTH, pattern=SEEN_WHOLE)]
@@ -31,6 +31,11 @@ class Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 class IdentityConfig(Section, frozen=True, kw_only=True):
     id: ShortText = ""  # empty: the host's name
     name: ShortText = ""  # for people; empty: the id, and "Simulated robot" for a simulated one without id
+
+    def __post_init__(self) -> None:
+        for text in (self.id, self.name):
+            if text and is_unseen(text):
+                raise ValueError("a name needs a character that is seen")
 
 
 class ServerConfig(Section, frozen=True, kw_only=True):

@@ -10,7 +10,7 @@ from msgspec import Meta
 from msgspec.structs import force_setattr
 
 from shared.calibration import Calibration, Side
-from shared.text import PRINTABLE, printable
+from shared.text import PRINTABLE, is_unseen, printable
 
 PROTOCOL_VERSION = 2  # 2: headers with checksums
 
@@ -97,6 +97,10 @@ class Hello(_Message, frozen=True, kw_only=True, tag="hello"):
     challenge: Annotated[bytes, Meta(max_length=64)] = b""  # to be answered by `Prove`; empty: no access control
     calibration_origin: CalibrationOrigin | None = None  # None: an older robot, whose calibration is a file on it
     datagram_port: Port = 0  # where it takes `AskDatagrams`' datagrams; 0: it sends none
+
+    def __post_init__(self) -> None:
+        if is_unseen(self.name):
+            raise ValueError("the robot's name has no character that is seen; write one under [identity] on the robot")
 
 
 class Prove(_Message, frozen=True, kw_only=True, tag="prove"):

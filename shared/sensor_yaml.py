@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import io
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 from pathlib import Path
 from typing import Any, cast
 
@@ -102,6 +102,14 @@ class _Loader(yaml.SafeLoader):
         if self.check_event(yaml.AliasEvent):
             raise MarkedYAMLError(problem="it has an alias, which is not read")
         return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        """A key that stands there twice would count by its last value, and a person sees the first."""
+        keys = [key for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        for number, key in enumerate(keys):
+            if any((key.tag, key.value) == (other.tag, other.value) for other in keys[:number]):
+                raise MarkedYAMLError(problem=f"{shown(key.value)} stands there twice", problem_mark=key.start_mark)
+        return super().construct_mapping(node, deep)
 
 
 def read_rig(content: dict[str, Any], path: Path) -> Rig:
@@ -234,9 +242,9 @@ def read_bare_camera(path: Path) -> CameraCalibration:
 def read_folder_camera(folder: Path, image_size: Callable[[], tuple[int, int]]) -> CameraCalibration:
     """The camera of a folder of images: its `camera.yaml`, or `camera-intrinsics.txt` and the size of an image."""
     yaml_path, text_path = (folder / name for name in CAMERA_FILES)
-    if yaml_path.is_file():
+    if yaml_path.exists():
         return read_bare_camera(yaml_path)
-    if not text_path.is_file():
+    if not text_path.exists():
         raise DataError(f"{folder} has no camera.yaml (or camera-intrinsics.txt); write the camera's intrinsics there")
     (fx, _, cx), (_, fy, cy), _ = read_intrinsics_text(text_path).tolist()
     width, height = image_size()  # and 30 images a second, as 7-Scenes has them
@@ -249,7 +257,7 @@ def read_folder_depth(folder: Path, image_size: Callable[[], tuple[int, int]]) -
     Nobody says where it sits beside the camera: as if in its place. None where the file is not there.
     """
     path = folder / DEPTH_FILE
-    if not path.is_file():
+    if not path.exists():
         return None
     (fx, _, cx), (_, fy, cy), _ = read_intrinsics_text(path).tolist()
     width, height = image_size()

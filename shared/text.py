@@ -42,6 +42,11 @@ def is_seen_whole(text: str) -> bool:
     return _WHOLE.match(text) is not None and (not text or bool(look_of(text).strip()))
 
 
+def is_unseen(text: str) -> bool:
+    """Whether nothing of it is seen: blanks, and what leaves no mark."""
+    return not look_of(without_invisible(text)).strip()
+
+
 def look_of(text: str) -> str:
     """What is seen of it: two names with one look cannot be told apart."""
     return unicodedata.normalize("NFC", _FORMS.sub("", text))

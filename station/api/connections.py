@@ -80,6 +80,11 @@ class Connection:
         finally:
             self._is_serving, self._since_s = False, time.monotonic()
 
+    def end(self) -> None:
+        """Close it behind what was sent."""
+        if self._transport is not None:
+            self._transport.close()
+
     def receive_unasked(self, count: int) -> None:
         """So many bytes came which belong to no request that is being answered."""
         self._head_bytes += count

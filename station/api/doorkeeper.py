@@ -63,7 +63,7 @@ class Doorkeeper:
             return
         # Who logs out ends what they came with: the answer goes out all the same.
         if isinstance(visitor, Visitor) and visitor.token_id and asked.scope["path"] != LOGOUT:
-            await self._serve(visitor, asked, receive, send)
+            await self._serve(visitor, asked, connection, receive, send)
         else:
             await self._app(asked.scope, receive, send)
 
@@ -82,7 +82,9 @@ class Doorkeeper:
         except (WrongToken, TooManyGuesses) as exc:
             return exc
 
-    async def _serve(self, visitor: Visitor, asked: HTTPConnection, receive: Receive, send: Send) -> None:
+    async def _serve(
+        self, visitor: Visitor, asked: HTTPConnection, connection: Connection | None, receive: Receive, send: Send
+    ) -> None:
         """Serve it in a task of its own, which is ended when the token is revoked."""
         sent: list[str] = []
 
@@ -108,6 +110,9 @@ class Doorkeeper:
                     raise
         if revoked.is_set():
             await _say_goodbye(asked, sent, receive, send)
+            if connection is not None and "http.response.start" in sent:
+                # The answer's head promised that the connection stays; who waits for its end would wait for that.
+                connection.end()
 
 
 def _check_visitor(asked: HTTPConnection, visitor: Found) -> None:

@@ -115,6 +115,15 @@ def _what_is_wrong(request: Request, error: Mapping[str, Any]) -> str:
     return str(error["msg"])
 
 
+def _unreadable_body(request: Request, why: BaseException) -> JSONResponse:
+    """Of one that is text and yet no JSON that anybody reads: 422, as of one whose brackets do not match."""
+    if isinstance(why, UnicodeDecodeError):
+        return problem(request, 400, "bad-request", STATUS_TITLES[400], "the body is no text in UTF-8; send JSON in it")
+    what = "it nests too deep" if isinstance(why, RecursionError) else "a number in it has too many digits"
+    errors = [{"where": "body", "what": f"the body is no JSON that is read ({what})"}]
+    return problem(request, 422, "invalid", STATUS_TITLES[422], errors[0]["what"], errors=errors)
+
+
 def _where(error: Mapping[str, Any]) -> str:
     """Which field it is; a body may name a field by a million letters."""
     return ".".join(shortened(str(part)) for part in error["loc"])
@@ -151,6 +160,8 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(HTTPException)
     async def http(request: Request, exc: HTTPException) -> JSONResponse:
+        if exc.__cause__ is not None and exc.status_code == 400:  # FastAPI, of any body that json.loads cannot read
+            return _unreadable_body(request, exc.__cause__)
         title = STATUS_TITLES.get(exc.status_code, "The request failed")
         detail = str(exc.detail)
         if exc.status_code == 404 and detail == "Not Found":

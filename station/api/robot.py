@@ -9,6 +9,7 @@ import time
 from fastapi import APIRouter, WebSocket
 from pydantic import ValidationError
 
+from shared.bounded import shortened
 from shared.errors import RobotSystemError
 from shared.messages import MAX_DRIVE_TTL_MS
 from shared.text import printable
@@ -149,7 +150,7 @@ async def _obey(socket: WebSocket, robot: RobotSession, name: str, text: str, la
     try:
         command = drive_request.validate_json(text)
     except ValidationError as exc:
-        await socket.send_text(DriveRefused(problem="invalid", text=str(exc.errors()[0]["msg"])).model_dump_json())
+        await socket.send_text(DriveRefused(problem="invalid", text=_mistake(exc)).model_dump_json())
         return
     try:
         match command:
@@ -180,6 +181,13 @@ async def _obey(socket: WebSocket, robot: RobotSession, name: str, text: str, la
                 robot.driving.release(name)
     except RobotSystemError as exc:
         await socket.send_text(DriveRefused(problem=kind_of(exc)[0], text=str(exc)).model_dump_json())
+
+
+def _mistake(exc: ValidationError) -> str:
+    """The first one, with the field's name in front where it is one field's."""
+    error = exc.errors()[0]
+    field = ".".join(shortened(str(part)) for part in error["loc"][1:])  # behind the message's type
+    return printable(f"{field}: {error['msg']}" if field else str(error["msg"]))
 
 
 async def _tell_driver(socket: WebSocket, robot: RobotSession, name: str, changes: MessageReader[Event]) -> None:

@@ -28,7 +28,9 @@ def check_site(connection: HTTPConnection, api: ApiConfig, *, speaks_tls: bool) 
     station are a list. Pictures and scripts are asked for without `Origin`; browsers then say `Sec-Fetch-Site`.
     """
     headers = connection.headers
-    host = headers.get("host", "")
+    host, *more = headers.getlist("host") or [""]
+    if more:  # a proxy in front might have looked at the other one
+        raise NotAllowed("a request names one Host, and this one names several")
     if not _is_ours(host, api):
         raise NotAllowed(
             f"this station does not go by the name {shown(host)}; put it into allowed_hosts under [api] if it shall"

@@ -30,24 +30,24 @@ def open_asl(path: Path, first: int | None, last: int | None, step: int, needs_c
     """Open an ASL folder; images, IMU, drive commands and truth may each be absent."""
     mav = path / "mav0"
     imu_csv, camera_csv = mav / "imu0" / "data.csv", mav / "cam0" / "data.csv"
-    if not imu_csv.is_file() and not camera_csv.is_file():
+    if not imu_csv.exists() and not camera_csv.is_file():
         raise DataError(f"{mav} holds neither cam0/data.csv nor imu0/data.csv; give a complete ASL folder")
 
     camera = None
     camera_yaml: dict[str, object] = {}
-    if camera_csv.is_file() or (mav / "cam0" / "sensor.yaml").is_file():
+    if camera_csv.exists() or (mav / "cam0" / "sensor.yaml").is_file():
         yaml_path = mav / "cam0" / "sensor.yaml"
-        if yaml_path.is_file():
+        if yaml_path.exists():
             camera_yaml = read_yaml(yaml_path)
             camera = read_camera(yaml_path, camera_yaml)
         elif needs_camera:
             raise DataError(f"{yaml_path} is missing; the camera's intrinsics belong there")
 
     imu, noise, T_body_imu = None, None, np.eye(4)
-    if imu_csv.is_file():
+    if imu_csv.exists():
         imu = _read_imu(imu_csv)
         yaml_path = mav / "imu0" / "sensor.yaml"
-        content = read_yaml(yaml_path) if yaml_path.is_file() else {}
+        content = read_yaml(yaml_path) if yaml_path.exists() else {}
         noise = read_imu_noise(yaml_path, content)
         T_body_imu = read_mounting(content, yaml_path)
     drive = _read_drive(mav / "drive0" / "data.csv")
@@ -64,7 +64,7 @@ def open_asl(path: Path, first: int | None, last: int | None, step: int, needs_c
 
     default_exposure_ns = read_exposure_ns(camera_yaml, mav / "cam0" / "sensor.yaml")
     times, names, exposures = np.empty(0, np.int64), list[str](), list[int]()
-    if camera_csv.is_file():
+    if camera_csv.exists():
         times, names, exposures = _read_frame_list(camera_csv, default_exposure_ns)
     chosen = choose_frames(camera_csv, range(len(times)), first, last, step)
     times, names, exposures = times[chosen], [names[i] for i in chosen], [exposures[i] for i in chosen]
@@ -124,7 +124,7 @@ def _read_imu(path: Path) -> ImuBatch | None:
 
 
 def _read_drive(path: Path) -> tuple[DriveSample, ...]:
-    if not path.is_file():
+    if not path.exists():
         return ()
     first = next(asl_rows(path, 2), None)
     has_head = first is not None and len(first[2]) >= 4
@@ -134,7 +134,7 @@ def _read_drive(path: Path) -> tuple[DriveSample, ...]:
 
 def _read_head(path: Path, drive: tuple[DriveSample, ...]) -> HeadCalibration | None:
     """The head that carries the camera; None where none was turned, or nothing is known of one."""
-    if not path.is_file() or not any(d.pan_rad or d.tilt_rad for d in drive):
+    if not path.exists() or not any(d.pan_rad or d.tilt_rad for d in drive):
         return None
     try:
         return msgspec.convert(read_yaml(path), HeadCalibration)
@@ -144,7 +144,7 @@ def _read_head(path: Path, drive: tuple[DriveSample, ...]) -> HeadCalibration | 
 
 def _read_truth(path: Path, T_file_ours: FloatArray) -> Truth | None:
     """Columns: t, p (3), q wxyz (4), and in EuRoC's own v (3), gyro bias (3), accel bias (3)."""
-    if not path.is_file():
+    if not path.exists():
         return None
     t, table = _read_table(path, 7)
     if not len(t):

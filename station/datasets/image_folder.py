@@ -38,7 +38,7 @@ def open_image_folder(path: Path, first: int | None, last: int | None, step: int
         raise DataError(f"{path} holds no mav0 folder and no *.jpg or *.png images; give a dataset")
     chosen = choose_frames(path, numbers, first, last, step)
     camera = None
-    if needs_camera or any((path / name).is_file() for name in CAMERA_FILES):
+    if needs_camera or any((path / name).exists() for name in CAMERA_FILES):
         camera = read_folder_camera(path, lambda: _image_size(numbered[chosen[0]][1]))
     elif numbers[0] < FIRST_STAMP:
         numbers = list(range(len(numbers)))
@@ -69,7 +69,7 @@ def open_image_folder(path: Path, first: int | None, last: int | None, step: int
         kind="images",
         calibration=Calibration(camera=camera, imu=None, depth=msgspec.UNSET if sensor is None else sensor),
         # Three by three numbers without distortion are a guess.
-        intrinsics_known=camera is not None and camera.is_measured and (path / "camera.yaml").is_file(),
+        intrinsics_known=camera is not None and camera.is_measured and (path / "camera.yaml").exists(),
         frame_times_ns=times,
         read_frames=read_frames,
         truth=truth,
@@ -96,7 +96,7 @@ def read_pose(image: Path) -> FloatArray | None:
     """T_world_cam (4, 4) from the `*.pose.txt` beside an image; None where there is none or tracking was lost."""
     stem = image.name.split(".")[0]
     path = image.with_name(f"{stem}.pose.txt")
-    if not path.is_file():
+    if not path.exists():
         return None
     try:
         T = np.loadtxt(io.StringIO(read_text(path)), dtype=np.float64, ndmin=2)

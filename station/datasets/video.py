@@ -22,7 +22,7 @@ MAX_FRAMES = 1_000_000
 def open_video(path: Path, first: int | None, last: int | None, step: int, needs_camera: bool = True) -> Dataset:
     """Open a video. Times are frame position / frame rate, from 0."""
     candidates = [path.with_suffix(".yaml"), path.with_name("camera.yaml")]
-    yaml_path = next((p for p in candidates if p.is_file()), None)
+    yaml_path = next((p for p in candidates if p.exists()), None)
     if yaml_path is None and needs_camera:
         raise DataError(f"{path} has no camera.yaml next to it; write the camera's intrinsics there")
     camera = None if yaml_path is None else read_bare_camera(yaml_path)

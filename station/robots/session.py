@@ -13,6 +13,7 @@ from pathlib import Path
 
 from shared.calibration import Calibration
 from shared.messages import CameraFrame, Capabilities, DriveApplied, ErrorNotice, Hello, Status
+from shared.pictures import picture_size
 from shared.repetition import Repetition
 from station.access.paired_robots import PairedRobots
 from station.calibration.guidance import GuidedKind
@@ -67,6 +68,20 @@ class Shared:
     make_recorder: Callable[[Path], NavigationRecorder | None]
     place_program: ProgramName[PlaceProgram, PlaceEvent]  # what the localisation workers run
     slots: ComputeSlots  # of the localisation workers of all robots
+
+
+def _why_not_shown(frame: CameraFrame) -> str:
+    """Why no page gets a picture: a browser takes memory for what the JPEG itself says, up to 65,535 x 65,535 pixels.
+
+    Goes on a sentence; empty: it gets it.
+    """
+    try:
+        width, height = picture_size(frame.jpeg)
+    except ValueError as exc:
+        return str(exc)
+    if (width, height) != (frame.width, frame.height):
+        return f"is {width}x{height} pixels, announced were {frame.width}x{frame.height}"
+    return ""
 
 
 class RobotSession(IgnoringListener):
@@ -330,6 +345,9 @@ class RobotSession(IgnoringListener):
         self.events.changed("robot")
 
     def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
+        if why := _why_not_shown(frame):
+            self._warn("camera", f"the robot's picture {why}; it is not shown", "picture")
+            return
         captured = self.link.to_station_ns(frame.t_robot_ns)
         # The clocks of robot and station are known to a millisecond or so; no picture comes before it was taken.
         self.camera.put(SeenFrame(frame, t_station_ns, None if captured is None else min(captured, t_station_ns)))

@@ -22,6 +22,7 @@ from tests.support.access import Guarded, guarded_station
 from tests.support.link import running_robot, until
 from tests.support.station import Film, running_station
 
+KEPT_S = 5.0  # an idle connection, by uvicorn
 SOCKETS = {"/ws/events": "", "/ws/camera": "", "/ws/drive": "", "/ws/replay": "?navigation=none"}
 SOCKETS |= {f"/robots/{{robot}}/ws/{kind}": "" for kind in ("events", "camera", "drive")}
 
@@ -223,6 +224,41 @@ async def test_a_revoked_token_loses_its_sockets_and_streams_at_once(tmp_path: P
             assert (await http.get("/robot", headers=station.headers(Role.WATCH))).status_code == 200
         filming.cancel()
         await asyncio.gather(filming, return_exceptions=True)
+
+
+async def test_the_connection_of_a_revoked_stream_ends_and_is_not_kept_for_more(tmp_path: Path) -> None:
+    """Programs that know nothing of chunks (a player, `curl` into a file) see the end of the connection alone."""
+    async with running_robot() as bench, guarded_station(tmp_path, bench.port) as station:
+        filming = asyncio.create_task(Film(bench).run())
+        await until(lambda: station.desk.station.first.camera.newest)
+        address = httpx.URL(station.desk.address)
+        reader, writer = await asyncio.open_connection(address.host, address.port, ssl=station.context, limit=2**24)
+        token = station.headers(Role.WATCH)["Authorization"]
+        writer.write(f"GET /camera/stream.mjpg HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: {token}\r\n\r\n".encode())
+        await reader.readuntil(b"sentinel-frame\r\n")
+        TokenBook(station.folder).revoke("watcher", 1.0)
+        await reader.readuntil(b"\r\n0\r\n\r\n")  # the last chunk
+        ended_s = time.monotonic()
+        assert await reader.read() == b""
+        assert time.monotonic() - ended_s < KEPT_S / 2, "the connection was kept for another request"
+        writer.close()
+        filming.cancel()
+        await asyncio.gather(filming, return_exceptions=True)
+
+
+@pytest.mark.parametrize("hosts", [("127.0.0.1", "evil.example"), ("evil.example", "127.0.0.1"), ("127.0.0.1",) * 2])
+@pytest.mark.parametrize("path", ["/robot", "/ws/events"])
+async def test_a_request_of_two_hosts_is_refused(tmp_path: Path, hosts: tuple[str, str], path: str) -> None:
+    upgrade = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
+    async with running_station(1, tmp_path) as desk:
+        address = httpx.URL(desk.address)
+        reader, writer = await asyncio.open_connection(address.host, address.port)
+        head = [f"GET {path} HTTP/1.1", *(f"Host: {host}" for host in hosts)]
+        key = f"{upgrade}Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n" if path.startswith("/ws") else ""
+        writer.write(("\r\n".join(head) + f"\r\n{key}\r\n").encode())
+        answer = await reader.read()
+        assert answer.startswith(b"HTTP/1.1 4"), answer[:200]
+        writer.close()
 
 
 async def test_who_only_watches_takes_back_nobodys_stop_under_the_drivers_name(

@@ -31,6 +31,14 @@ async def test_a_hijack_is_answered_by_what_the_robot_made_of_it(tmp_path: Path)
 MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
     "no content type": ({"content": '{"linear": 0.1, "angular": 0}'}, "Content-Type: application/json"),
     "no JSON": ({"content": '{"linear": 0.1,', "headers": {"Content-Type": "application/json"}}, "is no JSON"),
+    "nested without end": (
+        {"content": "[" * 50_000, "headers": {"Content-Type": "application/json"}},
+        "nests too deep",
+    ),
+    "an endless number": (
+        {"content": '{"linear": ' + "9" * 5000 + "}", "headers": {"Content-Type": "application/json"}},
+        "too many digits",
+    ),
     "a list": ({"json": [1]}, "must be a JSON object"),
     "nothing": ({}, "a JSON body is needed"),
     "a field too many": ({"json": {"linear": 0.1, "angular": 0, "speed": 1}}, "known are linear, angular, ttl_ms"),
@@ -43,6 +51,14 @@ async def test_mistakes_in_a_body_are_named_with_their_remedy(tmp_path: Path, mi
     async with running_station(1, tmp_path) as desk:
         answer = await desk.http.request("POST", "/drive", **request)
         assert is_problem(answer, 422) and words in answer.json()["detail"], answer.text
+
+
+async def test_a_body_that_is_no_text_is_a_bad_request_and_says_why(tmp_path: Path) -> None:
+    async with running_station(1, tmp_path) as desk:
+        answer = await desk.http.post(
+            "/drive", content=b'{"linear": "\xff"}', headers={"Content-Type": "application/json"}
+        )
+        assert is_problem(answer, 400) and "no text in UTF-8" in answer.json()["detail"]
 
 
 async def test_a_change_of_nothing_and_a_replay_of_nothing_are_refused(tmp_path: Path) -> None:

@@ -195,15 +195,28 @@ async def test_closing_the_drive_socket_stops_the_robot(tmp_path: Path, monkeypa
         assert desk.station.first.driving.driver is None
 
 
-@pytest.mark.parametrize("text", ["", "{}", '{"type": "fly"}', '{"type": "drive", "seq": 1, "linear": "x"}', "[1]"])
-async def test_nonsense_on_the_drive_socket_is_refused_and_the_socket_lives(tmp_path: Path, text: str) -> None:
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "JSON"),
+        ("{}", "type"),
+        ('{"type": "fly"}', "fly"),
+        ('{"type": "drive", "seq": 1, "linear": "x", "angular": 0}', "linear: "),
+        ('{"type": "drive", "seq": 1, "linear": 0, "angular": 0, "\\u001b[2J": 1}', "\ufffd[2J: "),
+        ("[1]", "object"),
+    ],
+)
+async def test_nonsense_on_the_drive_socket_is_refused_and_the_socket_lives(
+    tmp_path: Path, text: str, said: str
+) -> None:
     async with (
         running_station(1, tmp_path) as desk,
         websockets.connect(desk.socket("/ws/drive?driver=page")) as socket,
     ):
         await heard(socket)
         await socket.send(text)
-        assert (await heard(socket))["type"] == "refused"
+        refused = await heard(socket)
+        assert refused["type"] == "refused" and said in refused["text"]
         await socket.send(json.dumps({"type": "drive", "seq": 1, "linear": 0.1, "angular": 0.0}))
         assert (await heard(socket))["problem"] == "no-robot"
 

@@ -124,7 +124,7 @@ def _open_file(path: Path) -> Recording:
 def _open_asl(path: Path) -> Recording:
     mav, remarks = path / "mav0", []
     camera_yaml, imu_yaml = mav / "cam0" / "sensor.yaml", mav / "imu0" / "sensor.yaml"
-    has_camera = camera_yaml.is_file()
+    has_camera = camera_yaml.exists()
     content = read_yaml(camera_yaml) if has_camera else {}
     frames = tuple(_read_frames(mav / "cam0", read_exposure_ns(content, camera_yaml)))
     samples = tuple(_read_samples(mav / "imu0" / "data.csv"))
@@ -147,7 +147,7 @@ def _open_asl(path: Path) -> Recording:
 
 def _place_on_imu(path: Path, camera: CameraCalibration | None) -> tuple[ImuNoise, CameraCalibration | None]:
     """IMU noise, and the camera's pose relative to the IMU: our body is the IMU, the file's may be elsewhere."""
-    content = read_yaml(path) if path.is_file() else {}
+    content = read_yaml(path) if path.exists() else {}
     if camera is not None:
         T_imu_cam = inverse(read_mounting(content, path)) @ camera.T_body_cam_matrix
         camera = msgspec.structs.replace(camera, T_body_cam=tuple(T_imu_cam.ravel().tolist()))
@@ -157,7 +157,7 @@ def _place_on_imu(path: Path, camera: CameraCalibration | None) -> tuple[ImuNois
 def _read_frames(folder: Path, default_exposure_ns: int) -> Iterator[RecordedFrame]:
     """Nothing where there is no list, or no image at all (only the trajectory was kept)."""
     data = folder / "data"
-    if not (folder / "data.csv").is_file() or not data.is_dir() or not any(data.iterdir()):
+    if not (folder / "data.csv").exists() or not data.is_dir() or not any(data.iterdir()):
         return
     path = folder / "data.csv"
     rows = list(asl_rows(path, 1))
@@ -170,7 +170,7 @@ def _read_frames(folder: Path, default_exposure_ns: int) -> Iterator[RecordedFra
 
 
 def _read_samples(path: Path) -> Iterator[ImuReading]:
-    if not path.is_file():
+    if not path.exists():
         return
     for sequence, (t_ns, values) in enumerate(asl_numbers(path, 6)):
         wx, wy, wz, ax, ay, az = values
@@ -230,7 +230,7 @@ def _open_video(path: Path) -> Recording:
     """Open a video; frame k is taken k / rate after 0. Raises DataError naming the file and the remedy."""
     import cv2
 
-    yaml_path = next((p for p in (path.with_suffix(".yaml"), path.with_name("camera.yaml")) if p.is_file()), None)
+    yaml_path = next((p for p in (path.with_suffix(".yaml"), path.with_name("camera.yaml")) if p.exists()), None)
     if yaml_path is None:
         raise DataError(f"{path} has no camera.yaml next to it; write the camera's intrinsics there")
     camera = read_bare_camera(yaml_path)

@@ -45,6 +45,7 @@ def test_command_line_overrides_the_file(tmp_path: Path) -> None:
         ("[drive]\nmax_linear_m_s = 99.0\n", "<= 3.*drive.max_linear_m_s"),
         ("[drive\n", "not valid TOML"),
         ('[identity]\nname = "Rosa\\u200b"\n', "characters that can be seen.*identity.name"),
+        ('[identity]\nname = "  "\n', "needs a character that is seen.*identity"),
     ],
 )
 def test_a_mistake_in_the_file_is_one_sentence_with_file_and_key(tmp_path: Path, text: str, said: str) -> None:

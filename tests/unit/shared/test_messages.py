@@ -175,3 +175,17 @@ def test_a_robot_is_as_fast_as_a_command_can_say(field: str, number: float) -> N
     raw["capabilities"][field] = number
     with pytest.raises(RemoteProtocolError, match=f"{field} .* is outside"):
         decode_robot_message(msgspec.msgpack.encode(raw))
+
+
+@pytest.mark.parametrize("name", [" ", "\u200b", "\u2800\u3164", "\u00a0", "\ufe0f"])
+def test_a_robot_of_whose_name_nothing_is_seen_is_refused(name: str) -> None:
+    said = msgspec.msgpack.decode(encode_message(HELLO))
+    with pytest.raises(RemoteProtocolError, match="no character that is seen"):
+        decode_robot_message(msgspec.msgpack.encode(said | {"name": name}))
+
+
+@pytest.mark.parametrize("name", ["Rosa\u200b", " Rosa", "\u0645\u06cc\u200c\u0631\u0648\u062f"])
+def test_a_robots_name_from_before_is_taken_as_it_is(name: str) -> None:
+    said = msgspec.msgpack.decode(encode_message(HELLO))
+    heard = decode_robot_message(msgspec.msgpack.encode(said | {"name": name}))
+    assert isinstance(heard, Hello) and heard.name == name

@@ -75,3 +75,13 @@ def test_no_file_a_folder_and_an_empty_file_are_sentences(tmp_path: Path) -> Non
     assert "PosixPath" not in str(folder.value) and "Errno" not in str(folder.value)
     with pytest.raises(DataError, match="holds no `key: value` lines"):
         read_yaml(written(tmp_path, ""))
+
+
+@pytest.mark.parametrize("inside", ["", "T_BS:\n  rows: 4\n"])
+def test_a_key_that_stands_there_twice_is_refused(inside: str, tmp_path: Path) -> None:
+    path = tmp_path / "sensor.yaml"
+    again = "  rows: 3\n" if inside else "intrinsics: [2, 2, 2, 2]\n"
+    path.write_text(f"intrinsics: [1, 1, 1, 1]\n{inside}{again}")
+    key = "rows" if inside else "intrinsics"
+    with pytest.raises(DataError, match=f"line {4 if inside else 2}: '{key}' stands there twice"):
+        read_yaml(path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 from itertools import pairwise
 from pathlib import Path
 
@@ -345,9 +346,27 @@ def break_stamps(root: Path) -> Path:
     return root
 
 
+def break_yaml_into_a_pipe(root: Path) -> Path:
+    write_asl(root)
+    path = root / "mav0" / "cam0" / "sensor.yaml"
+    path.unlink()
+    os.mkfifo(path)
+    return root
+
+
+def break_list_into_a_device(root: Path) -> Path:
+    write_asl(root)
+    path = root / "mav0" / "cam0" / "data.csv"
+    path.unlink()
+    path.symlink_to("/dev/zero")
+    return root
+
+
 @pytest.mark.parametrize(
     ("breaking", "said"),
     [
+        (break_yaml_into_a_pipe, r"cam0/sensor\.yaml cannot be read \(it is a pipe, no file\)"),
+        (break_list_into_a_device, r"cam0/data\.csv cannot be read \(it is a device, no file\)"),
         (break_nothing_there, "does not exist"),
         (break_a_file, "is a file, but neither"),
         (break_empty, "holds no mav0 folder and no"),

@@ -1,5 +1,6 @@
 """Datasets of every kind give the same data, and each damage gets one sentence."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -256,6 +257,23 @@ def test_damaged_file_gets_one_sentence(asl: Path, file: str, content: str, says
     with pytest.raises(DataError, match=says) as caught:
         open_dataset(asl)
     assert str(asl / "mav0" / file) in str(caught.value)
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize(
+    "file", ["cam0/sensor.yaml", "cam0/data.csv", "imu0/sensor.yaml", "imu0/data.csv", "drive0/data.csv"]
+)
+@pytest.mark.parametrize(("kind", "says"), [("pipe", "it is a pipe, no file"), ("device", "it is a device, no file")])
+def test_what_is_no_file_is_not_said_to_be_missing(asl: Path, file: str, kind: str, says: str) -> None:
+    path = asl / "mav0" / file
+    path.unlink()
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero")
+    with pytest.raises(DataError, match=says) as caught:
+        open_dataset(asl)
+    assert str(path) in str(caught.value)
 
 
 def test_corrupt_image_is_named_when_its_pixels_are_needed(asl: Path) -> None:
