@@ -1,18 +1,21 @@
-"""A map of somebody else, its checksums right, whose places name what it does not hold."""
+"""A map of somebody else, its checksums right, whose places name what it does not hold, or that fills the memory."""
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from shared.bounded import MAX_FILE_BYTES
 from shared.errors import DataError
 from station.maps.folder import load_map_folder, save_map_folder
 from station.maps.store import MapStore
 from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
+from tests.support.store import largest_blob
 
 BAD_PLACES: dict[str, dict[str, object]] = {
     "a landmark that is not there": {"landmark_index": np.array([0, 10**9])},
@@ -51,3 +54,13 @@ def test_two_places_of_one_id_are_refused_and_places_without_pictures_are_not(
     without = {"representative_keyframe": -1, "keyframe_index": np.array([], dtype=np.int64)}
     save_map_folder(with_first_place(place_map, without), tmp_path / "map")
     assert load_map_folder(tmp_path / "map").places[0].representative_keyframe == -1
+
+
+def test_a_file_of_a_store_is_not_read_when_it_is_larger_than_any(place_map: PlaceMap, tmp_path: Path) -> None:
+    store = MapStore(StoreAddress(tmp_path / "maps"))
+    store.save(place_map)
+    path = largest_blob(store)
+    os.truncate(path, MAX_FILE_BYTES + 1)  # a hole: nothing on the disk, and all of it in memory
+    with pytest.raises(DataError, match="more than the 1024 MB that are read") as caught:
+        store.load(place_map.id)
+    assert path.name in str(caught.value)
