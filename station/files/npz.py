@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -79,7 +80,13 @@ def _read_values(file: IO[bytes], name: str, header: ArrayHeader) -> npt.NDArray
 def _read_header(file: IO[bytes], name: str, num_bytes: int) -> ArrayHeader:
     if np.lib.format.read_magic(file) != (1, 0):
         raise ValueError(f"{name} is of another format")
-    shape, in_columns, dtype = np.lib.format.read_array_header_1_0(file)
+    try:
+        shape, in_columns, dtype = np.lib.format.read_array_header_1_0(file)
+    except (
+        SyntaxError,
+        tokenize.TokenError,
+    ) as exc:  # it reads what is no literal as the header of a Python 2 once more
+        raise ValueError(f"the header of {name} is none") from exc
     num_bytes -= file.tell()
     # Without bytes an array can have any length.
     if dtype.hasobject or not dtype.itemsize or math.prod(shape) * dtype.itemsize != num_bytes:

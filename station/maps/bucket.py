@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Protocol
 
-from shared.bounded import open_file
+from shared.bounded import MAX_FILE_BYTES, read_file
 from shared.disk import PRIVATE, lock, make_folder, replace_files
 from shared.errors import ConfigError, DataError
 from station.files.unwritable import cannot_write
@@ -69,8 +69,7 @@ class FolderBucket:
 
     def get(self, name: str) -> bytes | None:
         try:
-            with open_file(self._root / name) as file:
-                return file.read()
+            return read_file(self._root / name, MAX_FILE_BYTES)
         except (FileNotFoundError, NotADirectoryError):
             return None
         except OSError as exc:

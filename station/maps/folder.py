@@ -26,7 +26,7 @@ from shared.errors import DataError
 from station.files.navigation_folder import load_navigation, save_navigation
 from station.files.npz import UNREADABLE as UNREADABLE_ARRAYS
 from station.maps.plan_files import CELLS, decode_plan, plan_files, with_plan
-from station.maps.record import UNREADABLE, decode_edges, decode_places, describe_map, encode_content
+from station.maps.record import UNREADABLE, check_references, decode_edges, decode_places, describe_map, encode_content
 from station.model.place_map import PlaceMap
 
 FORMAT = 1
@@ -106,6 +106,10 @@ def load_map_folder(folder: Path) -> PlaceMap:
         _check_file(folder / name, expected)
     navigation = replace(load_navigation(folder / "navigation"), id=document.navigation)
     place_map = PlaceMap(document.id, document.name, navigation, places, edges, document.config)
+    try:
+        check_references(place_map)
+    except ValueError as exc:
+        raise DataError(f"{path}: {exc}; restore it from a copy or build it again") from exc
     if plan is None:
         return place_map
     if CELLS not in document.files:

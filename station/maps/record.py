@@ -103,12 +103,34 @@ def read_map(record: MapRecord, blobs: Blobs) -> PlaceMap:
         edges=record.edges,
         config=record.config,
     )
+    try:
+        check_references(place_map)
+    except ValueError as exc:
+        raise Damaged(f"{what}: {exc}; {REPAIR_OR_RESTORE}") from exc
     if record.plan is None:
         return place_map
     try:
         return with_plan(place_map, record.plan, read(CELLS))
     except UNREADABLE_ARRAYS as exc:
         raise Damaged(f"{what}: {CELLS} is no floor plan ({shown(exc)}); {REPAIR_OR_RESTORE}") from exc
+
+
+def check_references(place_map: PlaceMap) -> None:
+    """Whatever a place or an edge names is in the map. Raises ValueError: somebody's record names something else."""
+    ids = {place.id for place in place_map.places}
+    num_keyframes, num_landmarks = len(place_map.navigation.keyframes.t_robot_ns), len(place_map.navigation.landmarks)
+    if len(ids) < len(place_map.places):
+        raise ValueError("two of its places have one id")
+    for place in place_map.places:
+        keyframes = np.append(place.keyframe_index, max(0, place.representative_keyframe))  # -1: without images
+        for kind, index, count in (
+            ("landmark", place.landmark_index, num_landmarks),
+            ("keyframe", keyframes, num_keyframes),
+        ):
+            if len(index) and not 0 <= index.min() <= index.max() < count:
+                raise ValueError(f"a place of it names a {kind} that is not there")
+    if any({edge.a, edge.b} - ids for edge in place_map.edges):
+        raise ValueError("an edge of it leads to a place that is not there")
 
 
 def same_places(a: MapRecord, b: MapRecord) -> bool:

@@ -2,6 +2,8 @@
 
 import json
 import math
+import struct
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +13,14 @@ import pytest
 
 from shared.calibration import REFERENCE_IMU, REFERENCE_ROBOT
 from shared.errors import DataError
-from station.files.navigation_folder import DEPTH, encode_navigation, load_navigation, parse_tum, save_navigation
+from station.files.navigation_folder import (
+    DEPTH,
+    OBSERVATIONS,
+    encode_navigation,
+    load_navigation,
+    parse_tum,
+    save_navigation,
+)
 from station.files.ply import read_ply, read_rows, write_ply
 from station.model.navigation import DepthScans, Landmarks, Navigation
 from station.slam.run import content_digest
@@ -218,6 +227,18 @@ def test_an_array_without_bytes_is_refused(tmp_path: Path) -> None:
     np.savez(path, **arrays | {"names": np.empty(10**6, dtype="V0")})
     with pytest.raises(DataError, match="names does not have the bytes"):
         load_navigation(tmp_path / "nav")
+
+
+@pytest.mark.parametrize("header", ["(" * 30, "'''", "{", "(" * 200])
+def test_an_array_whose_header_is_no_header_is_refused(header: str, tmp_path: Path) -> None:
+    save_navigation(small_navigation(), tmp_path / "nav")
+    path = tmp_path / "nav" / OBSERVATIONS
+    text = header.ljust(246).encode() + b"\n"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("frame_index.npy", b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text)
+    with pytest.raises(DataError, match="is damaged") as caught:
+        load_navigation(tmp_path / "nav")
+    assert str(path) in str(caught.value)
 
 
 @pytest.mark.parametrize("body", ["", "1 2 3\n", "1 2 3 4 5 6\n\n", "1 2\n3 4 5 6\n", "1 2 x\n1 2 3\n"])

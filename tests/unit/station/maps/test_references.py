@@ -1,0 +1,66 @@
+"""A map of somebody else, its checksums right, whose places name what it does not hold, or that fills the memory."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from shared.bounded import MAX_FILE_BYTES
+from shared.errors import DataError
+from station.maps.folder import load_map_folder, save_map_folder
+from station.maps.store import MapStore
+from station.model.map_store import StoreAddress
+from station.model.place_map import PlaceMap
+from tests.support.store import largest_blob
+
+BAD_PLACES: dict[str, dict[str, object]] = {
+    "a landmark that is not there": {"landmark_index": np.array([0, 10**9])},
+    "a landmark that is not": {"landmark_index": np.array([-1])},
+    "a keyframe that is not there": {"keyframe_index": np.array([10**6])},
+    "a keyframe that is not": {"representative_keyframe": 10**6},
+    "an edge of it leads to a place": {"id": "place-elsewhere"},
+}
+
+
+def with_first_place(place_map: PlaceMap, changes: dict[str, object]) -> PlaceMap:
+    first, *others = place_map.places
+    return replace(place_map, places=(replace(first, **changes), *others))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("said", BAD_PLACES)
+def test_a_folder_or_store_whose_place_names_what_is_not_there_is_refused(
+    place_map: PlaceMap, said: str, tmp_path: Path
+) -> None:
+    bad = with_first_place(place_map, BAD_PLACES[said])
+    save_map_folder(bad, tmp_path / "map")
+    with pytest.raises(DataError, match=said):
+        load_map_folder(tmp_path / "map")
+    store = MapStore(StoreAddress(tmp_path / "maps"))
+    store.save(bad)
+    with pytest.raises(DataError, match=said):
+        store.load(bad.id)
+
+
+def test_two_places_of_one_id_are_refused_and_places_without_pictures_are_not(
+    place_map: PlaceMap, tmp_path: Path
+) -> None:
+    save_map_folder(replace(place_map, places=place_map.places[:1] * 2, edges=()), tmp_path / "two")
+    with pytest.raises(DataError, match="two of its places have one id"):
+        load_map_folder(tmp_path / "two")
+    without = {"representative_keyframe": -1, "keyframe_index": np.array([], dtype=np.int64)}
+    save_map_folder(with_first_place(place_map, without), tmp_path / "map")
+    assert load_map_folder(tmp_path / "map").places[0].representative_keyframe == -1
+
+
+def test_a_file_of_a_store_is_not_read_when_it_is_larger_than_any(place_map: PlaceMap, tmp_path: Path) -> None:
+    store = MapStore(StoreAddress(tmp_path / "maps"))
+    store.save(place_map)
+    path = largest_blob(store)
+    os.truncate(path, MAX_FILE_BYTES + 1)  # a hole: nothing on the disk, and all of it in memory
+    with pytest.raises(DataError, match="more than the 1024 MB that are read") as caught:
+        store.load(place_map.id)
+    assert path.name in str(caught.value)
