@@ -50,6 +50,7 @@ class DriveGuard:
         self._wish = STANDSTILL
         self._until_ns = 0
         self._closed = False
+        self.only_goes_on = False  # the wish was taken since motors run, and may not start them
         self.num_commands = 0
         self.stops = 0  # how often silence ended a motion
 
@@ -65,6 +66,7 @@ class DriveGuard:
         if wish.is_zero or starts or (goes_on and until_ns > now_ns):
             self._wish = wish
             self._until_ns = min(until_ns, now_ns + MAX_TTL_NS)
+            self.only_goes_on = not starts
             self.num_commands += 1
         return True
 
@@ -112,6 +114,7 @@ class MotorWatchdog:
         self._applied = STANDSTILL
         self._looked_ns = now_ns()
         self._told_commands = 0  # how many commands the motors have been told
+        self._told_until_ns = 0  # when the last word that they took ends
         self.fault = ""  # why the motors do not obey, in a sentence
         self.stop_fault = ""  # why the motors did not take the last stop, in a sentence
         self._stop_motors()  # whatever ran here before may have left them running
@@ -194,8 +197,11 @@ class MotorWatchdog:
         with self._changed:
             if not self._is_due() and not self._closed:
                 self._changed.wait(self._time_to_wait_s())
-            is_due, velocity = self._is_due(), self._guard.velocity(self._now_ns())
-            until_ns = self._guard.until_ns
+            is_due = self._is_due()
+            # This thread may have waited for its turn until the word before has ended at the motors.
+            if is_due and self._guard.only_goes_on and self._told_until_ns - self._now_ns() <= AT_THE_PINS_NS:
+                self._guard.stop()
+            velocity, until_ns = self._guard.velocity(self._now_ns()), self._guard.until_ns
             self._told_commands = self._guard.num_commands
         # Outside the lock: a driver that blocks must not keep `stop` from being called.
         if is_due:
@@ -217,6 +223,7 @@ class MotorWatchdog:
                 self._stop_motors()
             else:
                 self._motors.drive(velocity.linear_m_s, velocity.angular_rad_s, until_ns)
+                self._told_until_ns = until_ns
                 self.stop_fault = ""  # whoever obeys has no stop before it
         except HardwareError as exc:
             if not self.fault:

@@ -82,10 +82,7 @@ def _read_header(file: IO[bytes], name: str, num_bytes: int) -> ArrayHeader:
         raise ValueError(f"{name} is of another format")
     try:
         shape, in_columns, dtype = np.lib.format.read_array_header_1_0(file)
-    except (
-        SyntaxError,
-        tokenize.TokenError,
-    ) as exc:  # it reads what is no literal as the header of a Python 2 once more
+    except (SyntaxError, tokenize.TokenError) as exc:  # what is no literal it reads once more, as a Python 2's
         raise ValueError(f"the header of {name} is none") from exc
     num_bytes -= file.tell()
     # Without bytes an array can have any length.

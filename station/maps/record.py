@@ -122,7 +122,9 @@ def check_references(place_map: PlaceMap) -> None:
     if len(ids) < len(place_map.places):
         raise ValueError("two of its places have one id")
     for place in place_map.places:
-        keyframes = np.append(place.keyframe_index, max(0, place.representative_keyframe))  # -1: without images
+        keyframes = place.keyframe_index
+        if place.representative_keyframe != -1:  # a place without images
+            keyframes = np.append(keyframes, place.representative_keyframe)
         for kind, index, count in (
             ("landmark", place.landmark_index, num_landmarks),
             ("keyframe", keyframes, num_keyframes),
