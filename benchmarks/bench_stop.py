@@ -90,11 +90,7 @@ async def trial(chain: Chain, fault: Fault, rng: random.Random) -> Judged:
     moved_us = await chain.mark()
     await asyncio.sleep(0.06 * rng.random())  # any phase of the 50 ms between two commands
     instant = await fault.inject(chain, rng)
-    if was_stopped(chain.events(), moved_us, instant.mega_us):
-        assert chain.page is not None
-        chain.page.holds = False
-        await mend(chain, fault)
-        return await trial(chain, fault, rng)
+    stopped_before = was_stopped(chain.events(), moved_us, instant.mega_us)
     zero = None
     while zero is None or (fault.is_above_server and server_stop(chain.line_log()) is None):
         if await chain.mark() > instant.mega_us + GIVE_UP_S * 1e6:
@@ -126,6 +122,7 @@ async def trial(chain: Chain, fault: Fault, rng: random.Random) -> Judged:
         pins_wall_ms=None if zero is None else (zero.t_ns - instant.since_ns) * 1e-6,
         started=started,
         never_stopped=not is_stopped,
+        stopped_before=stopped_before,
         starved_ms=chain.starved_ms(instant.since_ns, ended_ns),
         slipped_ms=chain.slipped_ms(instant.since_ns, ended_ns),
     )

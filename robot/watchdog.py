@@ -220,6 +220,7 @@ class MotorWatchdog:
     def _tell(self, velocity: Velocity, until_ns: int) -> None:
         try:
             if velocity.is_zero:
+                self._told_until_ns = 0
                 self._stop_motors()
             else:
                 self._motors.drive(velocity.linear_m_s, velocity.angular_rad_s, until_ns)

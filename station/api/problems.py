@@ -160,7 +160,8 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(HTTPException)
     async def http(request: Request, exc: HTTPException) -> JSONResponse:
-        if exc.__cause__ is not None and exc.status_code == 400:  # FastAPI, of any body that json.loads cannot read
+        # FastAPI, of any body that json.loads cannot read
+        if exc.status_code == 400 and isinstance(exc.__cause__, ValueError | RecursionError):
             return _unreadable_body(request, exc.__cause__)
         title = STATUS_TITLES.get(exc.status_code, "The request failed")
         detail = str(exc.detail)

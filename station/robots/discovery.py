@@ -58,7 +58,7 @@ def _open(interfaces: Sequence[str]) -> AsyncZeroconf:
     if not interfaces and (by_ipv6 := ipv6_interfaces()):
         with contextlib.suppress(OSError, RuntimeError):  # a system may have one of the two only
             return AsyncZeroconf(interfaces=[*(str(ip) for ip, _ in own_addresses() if ip.version == 4), *by_ipv6])
-    if not own_addresses():  # zeroconf would leave a socket open
+    if not interfaces and not own_addresses():  # zeroconf would leave a socket open
         raise OSError("this machine has no address")
     return AsyncZeroconf(interfaces=list(interfaces) or InterfaceChoice.All)
 

@@ -68,7 +68,7 @@ class Worker(Generic[ProgramT, EventT]):
         self._program = program
         self._limits = dict(limits or {})
         self._head_start_s = head_start_s
-        self._outbox: Outbox[bytes] = Outbox()  # packed: what waits for a slow worker is ten times as large otherwise
+        self._outbox: Outbox[bytes] = Outbox()  # packed: inertial samples that wait are ten times as large as lists
         self._on_event = on_event
         self._on_death = on_death
         self._on_failure = on_failure

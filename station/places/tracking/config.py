@@ -47,10 +47,10 @@ class BeliefConfig:
     def unnoticed_move_per_s(self) -> float:
         return self.unfelt * self.carried_per_s
 
-    def for_rig(self, has_wheels: bool) -> BeliefConfig:
+    def for_rig(self, has_wheels: bool, has_imu: bool) -> BeliefConfig:
         """For what carries the sensors. What moves in somebody's hands all the time feels nothing special."""
         if has_wheels:
-            return self
+            return self if has_imu else replace(self, unfelt=1.0)
         return replace(
             self,
             unfelt=1.0,

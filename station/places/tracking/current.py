@@ -73,7 +73,8 @@ class CurrentPlaceEstimator:
         if calibration is None and maps:
             calibration = maps[0].navigation.calibration
         self._has_wheels = calibration is None or calibration.has_wheels
-        self.config = (config or BeliefConfig()).for_rig(self._has_wheels)
+        has_imu = calibration is None or calibration.imu is not None
+        self.config = (config or BeliefConfig()).for_rig(self._has_wheels, has_imu)
         self._maps = tuple(MapView.of(m) for m in maps)
         self._map_ids = {m.id for m in maps}
         self._evidence = ImageEvidence(self._maps, calibration, self.config)

@@ -44,10 +44,14 @@ def predict_blind(before: Belief, seconds: float, c: BeliefConfig) -> Belief:
 
 
 def predict_time(before: Belief, seconds: float, blind_s: float, c: BeliefConfig) -> Belief:
-    """The belief after a time, `blind_s` of it without odometry: the robot may have been moved unnoticed."""
+    """The belief after a time, `blind_s` of it without odometry: the robot may have been moved unnoticed.
+
+    Without odometry nothing feels it.
+    """
     if blind_s > 0:
         before = predict_blind(before, blind_s, c)
-    stay = float(np.exp(-c.unnoticed_move_per_s * seconds))
+    unfelt_s = c.unfelt * (seconds - blind_s) + blind_s
+    stay = float(np.exp(-c.carried_per_s * unfelt_s))
     moved = before.localised * (1 - stay)
     return Belief(
         tuple(replace(h, weight=h.weight * stay) for h in before.hypotheses),

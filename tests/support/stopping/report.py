@@ -22,6 +22,7 @@ class Judged:
     pins_wall_ms: float | None = None  # the same by this PC's clock alone, waits of a starved emulator included
     started: str = ""  # "": nothing moved any more. Otherwise when: "while it lasted" or "when it ended"
     never_stopped: bool = False
+    stopped_before: bool = False  # the motors were, after they were driven for this trial and before its fault
     not_judged: str = ""  # the chain broke for a reason of its own; says which
     starved_ms: float = 0.0  # the longest a waiting process had to wait for a core meanwhile
     slipped_ms: float = 0.0  # by how much the emulated Mega fell behind the clock meanwhile
@@ -126,8 +127,8 @@ def verdict(results: list[Judged]) -> str:
 def was_stopped(events: Iterable[BoardEvent], since_us: int, until_us: int) -> bool:
     """Whether the Mega was told to stop, or its motors stood, between two moments of its time.
 
-    Before a fault that is a busy PC's doing: it held a word up for longer than words live. A fault that comes on top
-    finds motors at rest, and takes those that go on by themselves for its own.
+    Before a fault that is mostly a busy PC's doing, which held a word up for longer than words live. A fault on top of
+    it finds motors at rest, and takes those that go on by themselves for its own.
     """
     return any(event.text in ("in 11", "pins 0 0") for event in events if since_us < event.t_mega_us <= until_us)
 

@@ -11,11 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from shared.calibration import REFERENCE_HEAD, Rig
+from shared.calibration import REFERENCE_HEAD, REFERENCE_IMU, ImuNoise, Rig
 from shared.geometry import se3
 from shared.head import turned
 from station.motion.head import AHEAD, Aim
 from station.places.tracking.current import CurrentPlaceEstimator
+from station.places.tracking.filter import predict_time
 from station.places.tracking.map_view import MapView
 from station.places.tracking.report import largest
 from tests.support.places import CONFIG, R_BODY_CAM, SECOND, estimator_of, make_map, pose, seen
@@ -282,10 +283,12 @@ def test_going_over_to_another_position_is_a_jump_and_driving_there_is_none() ->
     assert len(told) == 1 and told[0].distance_m == pytest.approx(4.75, abs=0.3)
 
 
-@pytest.mark.parametrize("rig", ["wheels", "hand-held"])
-def test_a_robot_that_feels_being_carried_needs_more_to_be_elsewhere_than_a_rig_in_a_hand(rig: Rig) -> None:
+@pytest.mark.parametrize(("rig", "imu"), [("wheels", REFERENCE_IMU), ("wheels", None), ("hand-held", REFERENCE_IMU)])
+def test_a_robot_that_feels_being_carried_needs_more_to_be_elsewhere_than_one_that_does_not(
+    rig: Rig, imu: ImuNoise | None
+) -> None:
     place_map = make_map()
-    calibration = msgspec.structs.replace(place_map.navigation.calibration, rig=rig)
+    calibration = msgspec.structs.replace(place_map.navigation.calibration, rig=rig, imu=imu)
     estimator = CurrentPlaceEstimator([place_map], calibration, CONFIG)
     for k in range(60):
         estimator.on_odometry(k * SECOND, pose(0.1 * k, 0.0))
@@ -293,7 +296,14 @@ def test_a_robot_that_feels_being_carried_needs_more_to_be_elsewhere_than_a_rig_
     for k in (60, 61):  # a look-alike, to and fro
         estimator.on_odometry(k * SECOND, pose(6.0, 0.0, 0.1 * k))
         estimator.on_candidates([seen(k, pose(1.0, 3.0, 0.1 * k), inliers=60, extent=0.5)])
-    assert (estimator.answer(61 * SECOND).state == "known") == (rig == "wheels")
+    assert (estimator.answer(61 * SECOND).state == "known") == (rig == "wheels" and imu is not None)
+
+
+def test_what_is_carried_while_nothing_is_heard_of_it_is_not_felt() -> None:
+    before = sure_at_the_first_place()._belief
+    felt, unheard = (predict_time(before, 60.0, blind_s, CONFIG) for blind_s in (0.0, 60.0))
+    gained = (felt.lost - before.lost, unheard.lost - before.lost)
+    assert gained[1] == pytest.approx(100 * gained[0], rel=0.02)
 
 
 @pytest.mark.parametrize(("views_before", "is_moved"), [(1, False), (30, True)])
