@@ -73,8 +73,7 @@ async def test_what_waits_to_be_sent_waits_with_us_and_not_in_the_kernel() -> No
     async with running_robot() as bench, linked(bench.port) as (link, _):
         await until(lambda: link.state.connected)
         (client,) = bench.server._clients.values()
-        connection = link._connection
-        assert connection is not None
+        connection = link._connection or pytest.fail("the link says that it is connected")
         ends = [(client._writer, UNSENT_BYTES), (connection.writer, UNSENT_COMMAND_BYTES)]
         for end, unsent_bytes in ends:
             kernel = end.get_extra_info("socket")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
 from tests.support.store import largest_blob
 
-BAD_PLACES: dict[str, dict[str, object]] = {
+BAD_PLACES: dict[str, dict[str, Any]] = {
     "a landmark that is not there": {"landmark_index": np.array([0, 10**9])},
     "a landmark that is not": {"landmark_index": np.array([-1])},
     "a keyframe that is not there": {"keyframe_index": np.array([10**6])},
@@ -26,9 +27,9 @@ BAD_PLACES: dict[str, dict[str, object]] = {
 }
 
 
-def with_first_place(place_map: PlaceMap, changes: dict[str, object]) -> PlaceMap:
+def with_first_place(place_map: PlaceMap, changes: dict[str, Any]) -> PlaceMap:
     first, *others = place_map.places
-    return replace(place_map, places=(replace(first, **changes), *others))  # type: ignore[arg-type]
+    return replace(place_map, places=(replace(first, **changes), *others))
 
 
 @pytest.mark.parametrize("said", BAD_PLACES)
