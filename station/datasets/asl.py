@@ -30,12 +30,12 @@ def open_asl(path: Path, first: int | None, last: int | None, step: int, needs_c
     """Open an ASL folder; images, IMU, drive commands and truth may each be absent."""
     mav = path / "mav0"
     imu_csv, camera_csv = mav / "imu0" / "data.csv", mav / "cam0" / "data.csv"
-    if not imu_csv.exists() and not camera_csv.is_file():
+    if not imu_csv.exists() and not camera_csv.exists():
         raise DataError(f"{mav} holds neither cam0/data.csv nor imu0/data.csv; give a complete ASL folder")
 
     camera = None
     camera_yaml: dict[str, object] = {}
-    if camera_csv.exists() or (mav / "cam0" / "sensor.yaml").is_file():
+    if camera_csv.exists() or (mav / "cam0" / "sensor.yaml").exists():
         yaml_path = mav / "cam0" / "sensor.yaml"
         if yaml_path.exists():
             camera_yaml = read_yaml(yaml_path)
