@@ -232,6 +232,7 @@ class MotorWatchdog:
             self.fault = f"motors do not obey: {exc}"
             with self._changed:
                 self._guard.stop()
+            self._told_until_ns = 0
             self._stop_motors()
             velocity = STANDSTILL
         else:
