@@ -198,8 +198,10 @@ class MotorWatchdog:
             if not self._is_due() and not self._closed:
                 self._changed.wait(self._time_to_wait_s())
             is_due = self._is_due()
-            # This thread may have waited for its turn until the word before has ended at the motors.
-            if is_due and self._guard.only_goes_on and self._told_until_ns - self._now_ns() <= AT_THE_PINS_NS:
+            # This thread may have waited until the word before has ended at the motors, or this one nearly.
+            now_ns = self._now_ns()
+            is_over = self._guard.only_goes_on or self._guard.until_ns - now_ns <= AT_THE_PINS_NS
+            if is_due and is_over and self._told_until_ns - now_ns <= AT_THE_PINS_NS:
                 self._guard.stop()
             velocity, until_ns = self._guard.velocity(self._now_ns()), self._guard.until_ns
             self._told_commands = self._guard.num_commands

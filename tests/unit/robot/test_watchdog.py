@@ -128,7 +128,8 @@ def test_every_command_reaches_the_motors_also_an_unchanged_one() -> None:
     watchdog.close()
 
 
-def test_what_may_only_keep_motors_moving_is_not_said_once_they_rest() -> None:
+@pytest.mark.parametrize(("may_start", "late_ms"), [(False, 130), (True, 195)])
+def test_what_comes_too_late_to_start_motors_is_not_said_once_they_rest(may_start: bool, late_ms: int) -> None:
     motors, clock = FakeMotors(), FrozenClock()
     watchdog = MotorWatchdog(motors, now_ns=clock)
     begun_ns = clock.t_ns
@@ -136,8 +137,8 @@ def test_what_may_only_keep_motors_moving_is_not_said_once_they_rest() -> None:
     watchdog.command(AHEAD, begun_ns + 120 * MS)
     assert motors.wait_for_last(0.3, 0.1)  # its thread is held up in the driver
     clock.t_ns += 50 * MS
-    watchdog.command(Velocity(0.5, 0.0), begun_ns + 200 * MS, may_start=False)
-    clock.t_ns += 80 * MS  # the motors have ended the first one by themselves
+    watchdog.command(Velocity(0.5, 0.0), begun_ns + 200 * MS, may_start=may_start)
+    clock.t_ns = begun_ns + late_ms * MS  # the motors have ended the first one by themselves
     motors.may_go_on.set()
     assert motors.wait_for_last(0.0, 0.0)
     watchdog.close()
