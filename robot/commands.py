@@ -289,8 +289,8 @@ class CommandDesk:
                 pass
         # Of a driver who has fallen silent a last command may come when the one before it has run out, and would start
         # the motors for what is left of its life. A driver who goes on says the next one soon: that starts them.
-        may_start = until_ns - now_ns >= STARTING_SHARE * message.ttl_ms * 1_000_000
-        if not self.watchdog.command(wish, until_ns, may_start=may_start):
+        starts_until_ns = until_ns - round(STARTING_SHARE * message.ttl_ms * 1_000_000)
+        if not self.watchdog.command(wish, until_ns, starts_until_ns):
             return self._refuse("device", "the motors are shut down; restart robot-server")
         return None
 

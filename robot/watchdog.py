@@ -50,23 +50,26 @@ class DriveGuard:
         self._wish = STANDSTILL
         self._until_ns = 0
         self._closed = False
-        self.only_goes_on = False  # the wish was taken since motors run, and may not start them
+        self.starts_until_ns = 0  # from then on the wish keeps motors moving that move, and starts none
         self.num_commands = 0
         self.stops = 0  # how often silence ended a motion
 
-    def command(self, wish: Velocity, until_ns: int, now_ns: int, *, may_start: bool = True) -> bool:
+    def command(self, wish: Velocity, until_ns: int, now_ns: int, starts_until_ns: int | None = None) -> bool:
         """Hold a velocity until a time, MAX_TTL_NS from now at most; what has lived already moves nothing.
 
-        `may_start`: not only go on, also start from standstill. False after `close`.
+        `starts_until_ns`: from then on it starts no motors that rest; by default right before its end. False after
+        `close`.
         """
         if self._closed:
             return False
         goes_on = not self.velocity(now_ns).is_zero and self._until_ns - now_ns > AT_THE_PINS_NS
-        starts = may_start and until_ns - now_ns > AT_THE_PINS_NS
-        if wish.is_zero or starts or (goes_on and until_ns > now_ns):
+        until_ns = min(until_ns, now_ns + MAX_TTL_NS)
+        reaches_pins_ns = until_ns - AT_THE_PINS_NS
+        starts_until_ns = reaches_pins_ns if starts_until_ns is None else min(starts_until_ns, reaches_pins_ns)
+        if wish.is_zero or now_ns < starts_until_ns or (goes_on and until_ns > now_ns):
             self._wish = wish
-            self._until_ns = min(until_ns, now_ns + MAX_TTL_NS)
-            self.only_goes_on = not starts
+            self._until_ns = until_ns
+            self.starts_until_ns = starts_until_ns
             self.num_commands += 1
         return True
 
@@ -136,17 +139,17 @@ class MotorWatchdog:
         """Whether our thread lives and has looked at the clock lately."""
         return self._thread.is_alive() and self._now_ns() - self._looked_ns < STUCK_NS
 
-    def command(self, wish: Velocity, until_ns: int, *, may_start: bool = True) -> bool:
+    def command(self, wish: Velocity, until_ns: int, starts_until_ns: int | None = None) -> bool:
         """Hold a velocity until a monotonic time. False when closed or when our thread died: then nothing may move.
 
-        A time, not a duration: this process may have been stopped since the caller looked at the clock.
-        `may_start`: not only go on, also start from standstill.
+        Times, not durations: this process may have been stopped since the caller looked at the clock.
+        `starts_until_ns`: from then on it starts no motors that rest; by default right before its end.
         """
         if not self._thread.is_alive():
             self._stop_motors()
             return False
         with self._changed:
-            accepted = self._guard.command(wish, until_ns, self._now_ns(), may_start=may_start)
+            accepted = self._guard.command(wish, until_ns, self._now_ns(), starts_until_ns)
             self._changed.notify()
         return accepted
 
@@ -198,10 +201,10 @@ class MotorWatchdog:
             if not self._is_due() and not self._closed:
                 self._changed.wait(self._time_to_wait_s())
             is_due = self._is_due()
-            # This thread may have waited until the word before has ended at the motors, or this one nearly.
+            # This thread may have waited until the word before has ended at the motors, and this one starts none now.
             now_ns = self._now_ns()
-            is_over = self._guard.only_goes_on or self._guard.until_ns - now_ns <= AT_THE_PINS_NS
-            if is_due and is_over and self._told_until_ns - now_ns <= AT_THE_PINS_NS:
+            motors_may_rest = self._told_until_ns - now_ns <= AT_THE_PINS_NS
+            if is_due and motors_may_rest and now_ns >= self._guard.starts_until_ns:
                 self._guard.stop()
             velocity, until_ns = self._guard.velocity(self._now_ns()), self._guard.until_ns
             self._told_commands = self._guard.num_commands

@@ -67,7 +67,7 @@ class CountingGuard:
 
     now_ns: int = 0
 
-    def command(self, wish: Velocity, until_ns: int, *, may_start: bool = True) -> bool:
+    def command(self, wish: Velocity, until_ns: int, starts_until_ns: int | None = None) -> bool:
         assert abs(wish.linear_m_s) <= 0.5 and abs(wish.angular_rad_s) <= 2.5, f"{wish} is beyond the robot's limits"
         assert 0 < until_ns - self.now_ns <= 250_000_000, f"{until_ns} ns is longer than a command may last"
         self.commands += 1
