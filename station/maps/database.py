@@ -78,7 +78,7 @@ class Database:
         """
         with self._in_words(), self._engine.connect() as connection, connection.begin():
             if self.is_sqlite:  # its BEGIN looks at nothing yet: whatever is wrong shows here, before the caller's work
-                connection.exec_driver_sql("PRAGMA schema_version").scalar()
+                self._refuse_programs(connection)
             yield connection
 
     @contextlib.contextmanager
@@ -87,7 +87,9 @@ class Database:
         with self._in_words(), self._not_rebuilt(), self._engine.connect() as plain:
             connection = plain.execution_options(writes=True)
             with connection.begin():
-                if not self.is_sqlite:
+                if self.is_sqlite:
+                    self._refuse_programs(connection)
+                else:
                     connection.execute(
                         text("SELECT pg_advisory_xact_lock(:kind, hashtext(:name))"),
                         {"kind": _MIGRATIONS_LOCK, "name": name},
@@ -119,6 +121,12 @@ class Database:
             was_empty = self.revision(connection) is None
             upgrade(connection)
         return was_empty
+
+    def _refuse_programs(self, connection: Connection) -> None:
+        """A view in a table's place, or a trigger: a file from elsewhere could compute without end."""
+        kinds = "SELECT group_concat(DISTINCT type) FROM sqlite_master WHERE type IN ('view', 'trigger')"
+        if (programs := connection.exec_driver_sql(kinds).scalar()) is not None:
+            raise IndexDamaged(f"{self.place} is damaged (it has a {programs}, as no station makes)")
 
     def _refuse(self, revision: str) -> None:
         """A revision this program does not know: of a newer one, whose tables differ, or a wrong bit."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import sqlite3
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -65,3 +67,28 @@ def test_a_file_of_a_store_is_not_read_when_it_is_larger_than_any(place_map: Pla
     with pytest.raises(DataError, match="more than the 1024 MB that are read") as caught:
         store.load(place_map.id)
     assert path.name in str(caught.value)
+
+
+ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT count(i) AS version_num FROM n"
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        ["ALTER TABLE alembic_version RENAME TO other", f"CREATE VIEW alembic_version AS {ENDLESS}"],
+        [f"CREATE TRIGGER stays BEFORE INSERT ON map_version BEGIN {ENDLESS}; END"],
+    ],
+)
+def test_an_index_that_would_compute_for_ever_is_made_again(
+    place_map: PlaceMap, program: list[str], tmp_path: Path
+) -> None:
+    folder = tmp_path / "maps"
+    MapStore(StoreAddress(folder)).save(place_map)
+    with contextlib.closing(sqlite3.connect(folder / "maps.db")) as foreign:
+        for statement in program:
+            foreign.execute(statement)
+    told: list[str] = []
+    store = MapStore(StoreAddress(folder), notify=told.append)
+    assert [summary.id for summary in store.list()] == [place_map.id]
+    store.save(place_map)
+    assert "as no station makes" in told[0] and len(list(folder.glob("maps.db.damaged-*"))) == 1
