@@ -10,7 +10,7 @@ from msgspec import Meta
 from msgspec.structs import force_setattr
 
 from shared.calibration import Calibration, Side
-from shared.text import PRINTABLE, is_unseen, printable
+from shared.text import PRINTABLE, SEEN_WHOLE, is_unseen, printable
 
 PROTOCOL_VERSION = 2  # 2: headers with checksums
 
@@ -31,6 +31,7 @@ MAX_COUNT = 2**53  # a page's numbers are exact up to here
 MAX_TIME_NS = 2**62  # 146 years: a sum of two times still fits 64 bits
 
 Name = Annotated[str, Meta(min_length=1, max_length=MAX_NAME_LENGTH, pattern=PRINTABLE)]
+Id = Annotated[str, Meta(min_length=1, max_length=MAX_NAME_LENGTH, pattern=SEEN_WHOLE)]  # looks like no other
 Digest = Annotated[str, Meta(max_length=64, pattern=PRINTABLE)]
 Sentence = Annotated[str, Meta(max_length=MAX_SENTENCE_LENGTH)]  # whoever holds a message finds it printable
 Count = Annotated[int, Meta(ge=0, le=MAX_COUNT)]
@@ -89,7 +90,7 @@ class Hello(_Message, frozen=True, kw_only=True, tag="hello"):
     """Robot's first message: who it is and what is known of its sensors."""
 
     protocol: Count
-    robot_id: Name
+    robot_id: Id
     name: Name
     session_id: Name  # new at every start of robot-server: sequence numbers are comparable only within one
     capabilities: Capabilities

@@ -24,7 +24,7 @@ from shared.messages import (
     StationMessage,
     Status,
 )
-from shared.text import PRINTABLE, is_printable, printable
+from shared.text import PRINTABLE, SEEN_WHOLE, is_printable, printable
 
 FORGED = "\x1b[2J\x1b]0;owned\x07done\r\nINFO link: connected to Anna\u202e\u2028"
 SENTENCES = {"error.message", "refusal.reason", "status.faults[]"} | {
@@ -79,7 +79,7 @@ def test_every_text_in_a_message_is_a_printable_name_or_a_sentence() -> None:
     assert len(texts) > 10
     for path, kind in texts:
         assert kind.max_length is not None, path
-        assert kind.pattern == PRINTABLE or path in SENTENCES, path
+        assert kind.pattern in (PRINTABLE, SEEN_WHOLE) or path in SENTENCES, path
 
 
 @pytest.mark.parametrize(
@@ -112,9 +112,15 @@ def test_names_with_control_characters_are_refused_and_not_repeated(name: str) -
         (msgspec.structs.replace(HELLO, robot_id=name), decode_robot_message),
         (Join(protocol=PROTOCOL_VERSION, station_name=name), decode_station_message),
     ):
-        with pytest.raises(RemoteProtocolError, match="printable characters") as refused:
+        with pytest.raises(RemoteProtocolError, match="printable characters|characters that can be seen") as refused:
             decode(encode_message(message))
         assert is_printable(str(refused.value))
+
+
+@pytest.mark.parametrize("robot_id", ["rover\u200b", "\u2800", "ro\xadver"])
+def test_an_id_that_looks_like_another_one_is_refused(robot_id: str) -> None:
+    with pytest.raises(RemoteProtocolError, match="can be seen"):
+        decode_robot_message(encode_message(msgspec.structs.replace(HELLO, robot_id=robot_id)))
 
 
 def test_names_in_any_alphabet_are_taken() -> None:
