@@ -112,7 +112,7 @@ def test_names_with_control_characters_are_refused_and_not_repeated(name: str) -
         (msgspec.structs.replace(HELLO, robot_id=name), decode_robot_message),
         (Join(protocol=PROTOCOL_VERSION, station_name=name), decode_station_message),
     ):
-        with pytest.raises(RemoteProtocolError, match="printable characters|characters that can be seen") as refused:
+        with pytest.raises(RemoteProtocolError, match=r"printable characters|characters that can be seen") as refused:
             decode(encode_message(message))
         assert is_printable(str(refused.value))
 
