@@ -15,7 +15,7 @@ from shared.errors import ConfigError
 
 app = typer.Typer(name="robot-sim", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
 
-WorldOption = Annotated[str, typer.Option(help="home, small, lookalike, plain, room, vicon or checker")]
+WorldOption = Annotated[str, typer.Option(help="home, small, lookalike, plain, corner, large, room, vicon or checker")]
 SeedOption = Annotated[int, typer.Option(min=0, help="which world of that kind")]
 ConfigOption = Annotated[Path | None, typer.Option(help="TOML file with imperfections and faults")]
 IdealOption = Annotated[bool, typer.Option(help="switch every imperfection of sensors and floor off")]

@@ -191,7 +191,10 @@ def _one(book: TokenBook, name: str, now_s: float) -> TokenRecord:
     for record in book.tokens():
         if record.is_live(now_s) and name in (record.name, record.id):
             return record
-    raise ConfigError(f"nobody named {name!r} may; `station access list` shows who may")
+    raise ConfigError(
+        f"nobody named {name!r} may; `station access list` shows who may, `station access add NAME --role …` lets"
+        " somebody in"
+    )
 
 
 def _folder(data: Path | None, config: Path | None) -> Path:

@@ -328,6 +328,7 @@ def ask(demo: Demo, told: str) -> tuple[Sample | None, str]:
 
 def finish(demo: Demo, navigation2: str) -> None:
     """Let SLAM finish Navigation2: ended now, it would stay in the library as failed. The verdict stands already."""
+    demo.say("Navigation2: SLAM finishes it, for the library")
     try:
         wait_for_slam(demo, "Navigation2", navigation2)
     except RobotSystemError as exc:
