@@ -31,7 +31,7 @@ MAX_COUNT = 2**53  # a page's numbers are exact up to here
 MAX_TIME_NS = 2**62  # 146 years: a sum of two times still fits 64 bits
 
 Name = Annotated[str, Meta(min_length=1, max_length=MAX_NAME_LENGTH, pattern=PRINTABLE)]
-Id = Annotated[str, Meta(min_length=1, max_length=MAX_NAME_LENGTH, pattern=SEEN_WHOLE)]  # looks like no other
+Id = Annotated[str, Meta(min_length=1, max_length=MAX_NAME_LENGTH, pattern=SEEN_WHOLE)]
 Digest = Annotated[str, Meta(max_length=64, pattern=PRINTABLE)]
 Sentence = Annotated[str, Meta(max_length=MAX_SENTENCE_LENGTH)]  # whoever holds a message finds it printable
 Count = Annotated[int, Meta(ge=0, le=MAX_COUNT)]

@@ -173,6 +173,7 @@ class Navigations:
             backend=report.backend,
             landmarks=report.landmarks,
             scale=report.scale,
+            frames_skipped=0,
             message="; ".join(report.messages) or f"{report.landmarks} landmarks",
         )
         await self.store(navigation)

@@ -49,7 +49,7 @@ export function openNavigation(n: NavigationModel, others: NavigationModel[], ac
         make(
           "p",
           { class: "note" },
-          `Live SLAM left out ${count(n.frames_skipped, "picture")} that the recording has.`,
+          `Live SLAM left out ${count(n.frames_skipped, "picture")} that the recording has${4 * n.frames_skipped > n.frames ? ": run SLAM again before you build a map of it" : ""}.`,
         ),
       isReady &&
         others.length > 0 &&
