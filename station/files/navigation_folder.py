@@ -291,8 +291,6 @@ def _decode_landmarks(
     except OSError as exc:
         raise DataError(f"{path} is missing or damaged ({exc.strerror}); make the navigation again") from exc
     p_world = np.column_stack([columns[axis] for axis in "xyz"]).astype(np.float64)
-    if not np.isfinite(p_world).all():
-        raise DataError(f"{path} is damaged: landmarks are where no number says; make the navigation again")
     count = len(p_world)
     grey = np.full(count, 128, dtype=np.uint8)
     rgb = np.column_stack([columns.get(name, grey) for name in ("red", "green", "blue")]).astype(np.uint8)

@@ -116,14 +116,6 @@ def test_files_are_those_of_the_contract(tmp_path: Path) -> None:
     assert cloud["first_frame"].tolist() == [0, 0, 0, 4, 4, 4, 4]
 
 
-def test_landmarks_that_are_nowhere_are_refused(tmp_path: Path) -> None:
-    nav = small_navigation(3)
-    nav.landmarks.p_world[1, 2] = np.nan
-    save_navigation(nav, tmp_path / "nav")
-    with pytest.raises(DataError, match=r"landmarks\.ply is damaged: landmarks are where no number says"):
-        load_navigation(tmp_path / "nav")
-
-
 def test_no_landmarks_is_a_navigation_too(tmp_path: Path) -> None:
     nav = small_navigation(3)
     empty = Landmarks(*(column[:0] for column in (nav.landmarks.p_world, nav.landmarks.rgb, nav.landmarks.cov_world)),
