@@ -25,6 +25,9 @@ LATEST_CHECK_S = 0.05  # the thread looks at the clock at least so often, even i
 # A word is at the motors' pins by then: the line takes 1 ms, the firmware's loop a few, and its clock ends motions some
 # ms early. What finds them at rest there starts them, if for a millisecond; what is over by then moves nothing.
 AT_THE_PINS_NS = 10_000_000
+# Motors end a word before its time: the Mega is told the end early by as long as its last report took to us, 20 ms where
+# other threads hold this process up. So long before the end of what was told last they may rest already.
+ENDS_EARLY_NS = 30_000_000
 STUCK_NS = 1_000_000_000  # a thread that has not looked for so long hangs in the motors' driver
 
 
@@ -62,7 +65,7 @@ class DriveGuard:
         """
         if self._closed:
             return False
-        goes_on = not self.velocity(now_ns).is_zero and self._until_ns - now_ns > AT_THE_PINS_NS
+        goes_on = not self.velocity(now_ns).is_zero and self._until_ns - now_ns > ENDS_EARLY_NS
         until_ns = min(until_ns, now_ns + MAX_TTL_NS)
         reaches_pins_ns = until_ns - AT_THE_PINS_NS
         starts_until_ns = reaches_pins_ns if starts_until_ns is None else min(starts_until_ns, reaches_pins_ns)
@@ -203,7 +206,7 @@ class MotorWatchdog:
             is_due = self._is_due()
             # This thread may have waited until the word before has ended at the motors, and this one starts none now.
             now_ns = self._now_ns()
-            motors_may_rest = self._told_until_ns - now_ns <= AT_THE_PINS_NS
+            motors_may_rest = self._told_until_ns - now_ns <= ENDS_EARLY_NS
             if is_due and motors_may_rest and now_ns >= self._guard.starts_until_ns:
                 self._guard.stop()
             velocity, until_ns = self._guard.velocity(self._now_ns()), self._guard.until_ns
