@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import shutil
+import socket
 from contextlib import aclosing
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +16,10 @@ import websockets
 
 from shared.mcap_recording import recorded_pictures
 from station.api.streams import HEADER
+from station.demo.demo import Demo, DemoOptions, wait_for_slam
+from station.demo.processes import Programs
+from station.demo.simulator_client import SimulatorClient
+from station.demo.station_client import StationClient
 from station.files.unwritable import cannot_write
 from station.library.bin import KEEP_S, Bin
 from station.library.navigation_records import NavigationLibrary
@@ -155,6 +161,25 @@ async def test_slam_runs_again_over_a_recording_whose_slam_crashed(tmp_path: Pat
         assert made["state"] == "ready" and made["landmarks"] > 0 and made["frames_skipped"] == 0
         assert (await desk.http.get(f"/navigations/{navigation}/landmarks.ply")).status_code == 200
         assert (await desk.http.delete(f"/navigations/{navigation}")).status_code == 204
+
+
+async def test_the_demo_runs_slam_again_where_it_left_out_most_pictures(tmp_path: Path) -> None:
+    async with at_work(tmp_path) as (desk, _, film):
+        navigation = await record(desk, film, "Busy")
+        library = desk.station.navigations.library
+        said: list[str] = []
+        options = DemoOptions(seed=1, once=True, port=0, out=tmp_path, world="small", backend=None)
+        with Programs(tmp_path / "logs") as programs, socket.create_server(("127.0.0.1", 0)) as nobody:
+            port = nobody.getsockname()[1]
+            simulator = SimulatorClient(port)
+            demo = Demo(options, programs, StationClient(desk.address), simulator, port, said.append)
+            for skipped in (1, 5):
+                library.remember(replace(library.get(navigation), frames=8, frames_skipped=skipped))
+                await asyncio.to_thread(wait_for_slam, demo, "Navigation1", navigation)
+            simulator.close()
+        assert len(said) == 3 and "8 frames, 1 of them left out by SLAM" in said[0]
+        assert "5 of 8 pictures came too quickly" in said[1] and "8 frames, " in said[2] and "left out" not in said[2]
+        assert library.get(navigation).frames_skipped == 0
 
 
 async def test_two_drives_are_compared_and_mapped_together(tmp_path: Path) -> None:
