@@ -100,8 +100,10 @@ class Hello(_Message, frozen=True, kw_only=True, tag="hello"):
     datagram_port: Port = 0  # where it takes `AskDatagrams`' datagrams; 0: it sends none
 
     def __post_init__(self) -> None:
-        if is_unseen(self.name):
-            raise ValueError("the robot's name has no character that is seen; write one under [identity] on the robot")
+        if is_unseen(self.name) or is_unseen(self.robot_id):
+            raise ValueError(
+                "the robot's name or id has no character that is seen; write one under [identity] on the robot"
+            )
 
 
 class Prove(_Message, frozen=True, kw_only=True, tag="prove"):

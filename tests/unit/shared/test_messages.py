@@ -117,10 +117,11 @@ def test_names_with_control_characters_are_refused_and_not_repeated(name: str) -
         assert is_printable(str(refused.value))
 
 
-@pytest.mark.parametrize("robot_id", ["rover\u200b", "\u2800", "ro\xadver"])
+@pytest.mark.parametrize("robot_id", ["rover\u200b", "\u2800", "ro\xadver", "  "])
 def test_an_id_that_looks_like_another_one_is_refused(robot_id: str) -> None:
-    with pytest.raises(RemoteProtocolError, match="can be seen"):
-        decode_robot_message(encode_message(msgspec.structs.replace(HELLO, robot_id=robot_id)))
+    plain = msgspec.msgpack.decode(encode_message(HELLO)) | {"robot_id": robot_id}
+    with pytest.raises(RemoteProtocolError, match=r"can be seen|is seen"):
+        decode_robot_message(msgspec.msgpack.encode(plain))
 
 
 def test_names_in_any_alphabet_are_taken() -> None:
