@@ -130,7 +130,7 @@ def map_hijack_and_ask(demo: Demo, data: Path, timings: Timings) -> Outcome:
     with timings.step("navigation1"):
         navigation1 = record_mapping(demo, "Navigation1")
     with timings.step("slam"):
-        wait_for_slam(demo, "Navigation1", navigation1)
+        wait_for_slam(demo, "Navigation1", navigation1, is_for_map=True)
     with timings.step("map"):
         places = build_map(demo, navigation1)
     with timings.step("localisation"):
@@ -215,15 +215,18 @@ def start_driver(demo: Demo, route: str, pace: str = "calm") -> None:
     )
 
 
-def wait_for_slam(demo: Demo, name: str, navigation: str) -> None:
-    """Wait until SLAM has made trajectory and landmarks of the navigation."""
+def wait_for_slam(demo: Demo, name: str, navigation: str, *, is_for_map: bool = False) -> None:
+    """Wait until SLAM has made trajectory and landmarks of the navigation.
+
+    `is_for_map`: where it was too slow for many pictures, it runs over the recording again.
+    """
 
     def progress() -> object:
         return demo.station.get("/pose")["message"]
 
     drive = wait_until_over(demo, "SLAM", f"/navigations/{navigation}", SLAM_TIMEOUT_S, progress)
     left_out = drive["frames_skipped"]
-    if left_out > TOO_MANY_LEFT_OUT * drive["frames"]:
+    if is_for_map and left_out > TOO_MANY_LEFT_OUT * drive["frames"]:
         demo.say(
             f"{name}: this computer is busy: {left_out} of {drive['frames']} pictures came too quickly for SLAM while"
             " the robot drove. The recording has them all: SLAM runs over it again (a minute, more on a busy machine)"

@@ -175,7 +175,7 @@ async def test_the_demo_runs_slam_again_where_it_left_out_most_pictures(tmp_path
             demo = Demo(options, programs, StationClient(desk.address), simulator, port, said.append)
             for skipped in (1, 5):
                 library.remember(replace(library.get(navigation), frames=8, frames_skipped=skipped))
-                await asyncio.to_thread(wait_for_slam, demo, "Navigation1", navigation)
+                await asyncio.to_thread(wait_for_slam, demo, "Navigation1", navigation, is_for_map=True)
             simulator.close()
         assert len(said) == 3 and "8 frames, 1 of them left out by SLAM" in said[0]
         assert "5 of 8 pictures came too quickly" in said[1] and "8 frames, " in said[2] and "left out" not in said[2]
