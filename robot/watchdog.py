@@ -25,8 +25,8 @@ LATEST_CHECK_S = 0.05  # the thread looks at the clock at least so often, even i
 # A word is at the motors' pins by then: the line takes 1 ms, the firmware's loop a few, and its clock ends motions some
 # ms early. What finds them at rest there starts them, if for a millisecond; what is over by then moves nothing.
 AT_THE_PINS_NS = 10_000_000
-# Motors end a word before its time: the Mega is told its end early by as long as its last report took to us, 20 ms
-# where other threads hold this process up. So long before the end of what was told last they may rest already.
+# Motors end a word before its time: the Mega is told its end early by as long as its last report took to us, 12 ms in a
+# process that a camera held up (docs/studies/stop.md). Twice that before the end of what was told last they may rest.
 ENDS_EARLY_NS = 30_000_000
 STUCK_NS = 1_000_000_000  # a thread that has not looked for so long hangs in the motors' driver
 
