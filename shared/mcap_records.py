@@ -70,7 +70,8 @@ def _unpacked(chunk: Chunk, unpacking: Unpacking) -> bytes:
     if chunk.compression == "lz4":
         unpacker = lz4.frame.LZ4FrameDecompressor()
         data: bytes = unpacker.decompress(chunk.data, max_length=size + 1)
-        if not unpacker.eof:  # other readers refuse it
+        # What follows them belongs to the next chunks: the length is damaged, and trusted it would hide those.
+        if not unpacker.eof or unpacker.unused_data:
             raise ValueError("a chunk's packed bytes end too soon, or go on after the size it claims")
     elif chunk.compression == "zstd":
         packed = zstandard.ZstdDecompressor(max_window_size=MAX_RECORD_BYTES)

@@ -92,6 +92,24 @@ def in_the_middle(index: ChunkIndex) -> int:
     return index.chunk_start_offset + index.chunk_length // 2
 
 
+def test_a_chunk_that_claims_the_next_ones_bytes_hides_none_of_them(
+    whole: bytes, chunks: list[tuple[ChunkIndex, list[Told]]], tmp_path: Path
+) -> None:
+    path = tmp_path / "d.mcap"
+    damaged = bytearray(whole)
+    claiming = chunks[4][0]
+    size_at = claiming.chunk_start_offset + claiming.chunk_length - claiming.compressed_size - 8
+    assert int.from_bytes(damaged[size_at : size_at + 8], "little") == claiming.compressed_size
+    damaged[size_at + 1] ^= 0x80  # 32 kB more
+    path.write_bytes(damaged)
+    assert recover_recording(path) is not None
+    others = Counter[Told]()
+    for index, held in chunks:
+        if index is not claiming:
+            others.update(held)
+    assert Counter(messages_in(path)) >= others
+
+
 def test_a_hole_is_passed_over_and_the_file_as_it_was_is_kept(
     whole: bytes, chunks: list[tuple[ChunkIndex, list[Told]]], tmp_path: Path
 ) -> None:
