@@ -27,7 +27,7 @@ from shared.messages import HeartbeatReply
 STRETCH_NS = 2_000_000_000  # long enough for some quick messages each way, short enough to see soon that a clock jumped
 KEPT_STRETCHES = 300  # ten minutes
 LEAST_SIGMA_NS = 200_000.0  # two event loops: nothing is known better
-DRIFT_SIGMA = 30e-6  # of two crystals of small computers, before anything is measured
+DRIFT_SIGMA = 20e-6  # of two crystals, each made within some 30 ppm at most, before anything is measured
 SLEWED = 1e-4  # of the time NTP slews one of the clocks, by whatever: minutes in weeks
 SLOPES = np.linspace(-MAX_CRYSTAL_DRIFT, MAX_CRYSTAL_DRIFT, 301)  # 4 ppm apart
 _CRYSTALS = (1 - SLEWED) * np.exp(-0.5 * (SLOPES / DRIFT_SIGMA) ** 2) / (math.sqrt(math.tau) * DRIFT_SIGMA)
@@ -200,7 +200,12 @@ def fit_corridor(most: FloatArray, least: FloatArray) -> _Line:
     above = most[:, 1] - SLOPES[:, None] * (most[:, 0] - t_ns)  # (slopes, n)
     below = least[:, 1] - SLOPES[:, None] * (least[:, 0] - t_ns)
     late = above.mean(axis=1) - above.min(axis=1), below.max(axis=1) - below.mean(axis=1)
-    misfit = UNLIKELY + len(most) * np.log(late[0] + LEAST_SIGMA_NS) + len(least) * np.log(late[1] + LEAST_SIGMA_NS)
+    # One less of each side: its least and its mean delay are both unknown, and all that they may be counts.
+    misfit = (
+        UNLIKELY
+        + (len(most) - 1) * np.log(late[0] + LEAST_SIGMA_NS)
+        + (len(least) - 1) * np.log(late[1] + LEAST_SIGMA_NS)
+    )
     weight = np.exp(misfit.min() - misfit)
     slope = float(np.average(SLOPES, weights=weight))
     slope_sigma = float(np.average((SLOPES - slope) ** 2, weights=weight)) ** 0.5 + (SLOPES[1] - SLOPES[0]) / 2

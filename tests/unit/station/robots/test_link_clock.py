@@ -198,6 +198,7 @@ def test_what_is_told_of_the_uncertainty_holds_at_any_time(name: str, drift_ppm:
         now_ns = (second + 1) * S
         bound_ns = clock.bound_ns(now_ns)
         assert bound_ns is not None and abs(offset_error_ms(clock, now_ns, drift_ppm)) * MS <= bound_ns
+        assert clock.drift_ppm is not None and abs(clock.drift_ppm - drift_ppm) <= 50.0
 
 
 def test_a_clock_that_is_slewed_is_followed() -> None:
