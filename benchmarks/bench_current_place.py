@@ -111,7 +111,7 @@ def judge_world(path: Path, leave_kind_out: bool = False) -> JudgedWorld:
         if place_map is not None:
             place_map = planned(place_map)
             misfit = misfit_of(place_map.navigation.report)
-            played = [(d, play_back(place_map, d, make_tracker)) for d in world.drives]
+            played = [(d, play_back(place_map, d, make_tracker, world.tried)) for d in world.drives]
             drives += [judge_drive(place_map, d, answers) for d, answers in played]
             rooms += [judge_rooms(place_map, d, answers) for d, answers in played]
             twins += [judge_twins(place_map, d, answers) for d, answers in played]

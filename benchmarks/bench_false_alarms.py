@@ -24,6 +24,7 @@ from robot.simulation.config import Faults
 from robot.simulation.routes import plan_route
 from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.places.localisation.localizer import Localizer
+from station.places.localisation.make_index import make_index
 from station.places.tracking.tracker import PlaceTracker
 from tests.support.drives.judging import right_places
 from tests.support.drives.misfit import Misfit
@@ -114,7 +115,7 @@ def main() -> None:
     for seed in range(a.seed, a.seed + a.flats):
         flat = SimulatedFlat(a.kind, seed, Misfit(seed=seed), DriveOptions())
         mapped = flat.mapped()
-        localizer = Localizer([mapped.place_map])
+        localizer = Localizer([mapped.place_map], index=[make_index(mapped.place_map)])
         for drive in range(1, a.drives + 1):
             for condition in CONDITIONS:
                 drives.append(undisturbed_drive(flat, mapped, localizer, condition, drive))

@@ -41,6 +41,7 @@ from station.model.navigation import Navigation, Trajectory
 from station.model.place_map import PlaceMap
 from station.motion.interpolation import interpolate_poses
 from station.places.localisation.localizer import Localizer
+from station.places.localisation.make_index import make_index
 from station.places.making.build import build_map
 from station.places.tracking.tracker import PlaceTracker
 from station.slam.backends import make_backend
@@ -108,7 +109,7 @@ def second_drive(path: Path, backend: str, place_map: PlaceMap, T_truth_map: Flo
     camera = data.calibration.camera
     assert camera is not None
     shift_ns = round(1e9 * camera.time_shift_s)
-    tracker = PlaceTracker([place_map], data.calibration, Localizer([place_map]))
+    tracker = PlaceTracker([place_map], data.calibration, Localizer([place_map], index=[make_index(place_map)]))
     live = make_backend(backend, data.calibration, 0, 1) if backend == "ukf" else None  # gives the odometry
     centroids = {p.id: transform(T_truth_map, p.centroid_map[None])[0] for p in place_map.places}
     looked = localised = 0

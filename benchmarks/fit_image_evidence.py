@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +25,13 @@ from benchmarks.drive_cache import load, stored
 from shared.calibration import Calibration
 from shared.disk import replace_file
 from station.places.tracking.config import BeliefConfig
-from station.places.tracking.fitted import GENERATED, FailureOdds, FittedOdds, RecognisedOdds
+from station.places.tracking.fitted import GENERATED, FailureOdds, FittedOdds, RecognisedOdds, Usual
 from station.places.tracking.image_evidence import ImageEvidence
 from station.places.tracking.map_view import MapView
+from station.places.tracking.own_pictures import RIGHT_M, Judged, judged, own_log_odds
 from tests.support.drives.judging import where_taken
 from tests.support.drives.recorded import LookedAt, generator_of
 from tests.support.likelihood_fit import (
-    RIGHT_M,
     Fit,
     fitted_failing,
     fitted_right,
@@ -39,6 +40,8 @@ from tests.support.likelihood_fit import (
     usual_of,
     with_previous,
 )
+
+ROUNDS = 10  # more change nothing
 
 
 def image_row(image: LookedAt, view: MapView, calibration: Calibration, where: dict[str, Any]) -> dict[str, Any]:
@@ -64,9 +67,17 @@ def image_row(image: LookedAt, view: MapView, calibration: Calibration, where: d
     }
 
 
-def rows_of(cache: Path, kinds: Sequence[str]) -> tuple[list[dict[str, Any]], list[str]]:
-    """Images of all stored drives of these kinds that no hand held, and the worlds they are of."""
-    rows, worlds = [], []
+@dataclass(frozen=True, slots=True)
+class OwnPictures:
+    """Of one world's map, tried in it."""
+
+    kind: str
+    pictures: Sequence[Judged]
+
+
+def rows_of(cache: Path, kinds: Sequence[str]) -> tuple[list[dict[str, Any]], list[str], dict[str, OwnPictures]]:
+    """Images of all stored drives of these kinds that no hand held, the worlds they are of, and those' own pictures."""
+    rows, worlds, own = [], [], {}
     for path in stored(cache):
         world = load(path)
         if world.kind not in kinds or world.place_map is None:
@@ -76,6 +87,7 @@ def rows_of(cache: Path, kinds: Sequence[str]) -> tuple[list[dict[str, Any]], li
             continue
         worlds.append(f"{world.kind} {world.name} {world.misfit}".strip())
         view = MapView.of(world.place_map)
+        own[path.name] = OwnPictures(generator_of(world.kind), judged(view, world.tried))
         for drive in world.drives:
             put_down_ns = drive.hijack.put_down_ns if drive.hijack else np.inf
             for image in drive.images:
@@ -92,15 +104,16 @@ def rows_of(cache: Path, kinds: Sequence[str]) -> tuple[list[dict[str, Any]], li
                 told |= {"mapped": where == "mapped", "doorway": where == "doorway"}
                 rows.append(image_row(image, view, drive.calibration, told))
         print(f"{path.name}: {len(rows)} images so far", file=sys.stderr, flush=True)
-    return rows, worlds
+    return rows, worlds, own
 
 
-def fit(rows: list[dict[str, Any]], worlds: list[str], made_by: str) -> FittedOdds:
+def fit(rows: list[dict[str, Any]], worlds: list[str], own: dict[str, OwnPictures], made_by: str) -> FittedOdds:
     """All regressions over these images."""
     usual = usual_of(rows)
     rows = [or_usual(row, usual) for row in rows]
+    right, tried = fitted_with_own(rows, own, usual)
     fits: dict[str, Fit] = {
-        "right": fitted_right(rows),
+        "right": right,
         "unmapped": fitted_unmapped(rows),
         "fails_at_pose": fitted_failing(rows, mapped=True, with_view=True),
         "fails_in_map": fitted_failing(rows, mapped=True, with_view=False),
@@ -117,11 +130,30 @@ def fit(rows: list[dict[str, Any]], worlds: list[str], made_by: str) -> FittedOd
         },
         usual=usual,
         right=RecognisedOdds(*numbers["right"]),
+        tried=round(tried, 3),
         unmapped=RecognisedOdds(*numbers["unmapped"]),
         fails_at_pose=FailureOdds(*numbers["fails_at_pose"]),
         fails_in_map=FailureOdds(*numbers["fails_in_map"]),
         fails_unmapped=FailureOdds(*numbers["fails_unmapped"]),
     )
+
+
+def fitted_with_own(rows: list[dict[str, Any]], own: dict[str, OwnPictures], usual: Usual) -> tuple[Fit, float]:
+    """Which pose is right, and what own pictures have in common: in turn with what each map has of its own.
+
+    That has a mean of zero, every kind with the same weight: what all have in common is the constant's.
+    """
+    found, tried = fitted_right(rows), 0.0
+    kinds = [one.kind for one in own.values()]
+    weight = [1.0 / kinds.count(kind) for kind in kinds]
+    for _ in range(ROUNDS):
+        odds = RecognisedOdds(*found.w.tolist())
+        values = [own_log_odds(one.pictures, odds, usual, tried) for one in own.values()]
+        mean = float(np.average(values, weights=weight))
+        by_world = {name: value - mean for name, value in zip(own, values, strict=True)}
+        tried += mean
+        found = fitted_right([{**row, "own": by_world[row["world"]]} for row in rows])
+    return found, tried
 
 
 def without(kind: str) -> Path:
@@ -134,13 +166,16 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, required=True, help="of make_drives")
     parser.add_argument("--kinds", default="home,plain,real", help="with commas between")
     a = parser.parse_args()
-    rows, worlds = rows_of(a.cache, a.kinds.split(","))
+    rows, worlds, own = rows_of(a.cache, a.kinds.split(","))
     rows = with_previous(rows)
     made_by = f"python -m benchmarks.fit_image_evidence --kinds {a.kinds}"
-    fits = {GENERATED: fit(rows, worlds, made_by)}
+    fits = {GENERATED: fit(rows, worlds, own, made_by)}
     for kind in sorted({row["kind"] for row in rows}):
         others = [name for name in worlds if generator_of(name.split()[0]) != kind]
-        fits[without(kind)] = fit([row for row in rows if row["kind"] != kind], others, f"{made_by}, without {kind}")
+        theirs = {name: one for name, one in own.items() if one.kind != kind}
+        fits[without(kind)] = fit(
+            [row for row in rows if row["kind"] != kind], others, theirs, f"{made_by}, without {kind}"
+        )
     for path, fitted in fits.items():
         path.parent.mkdir(exist_ok=True)
         replace_file(path, msgspec.json.format(msgspec.json.encode(fitted), indent=1) + b"\n")

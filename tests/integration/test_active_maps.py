@@ -23,7 +23,7 @@ from station.model.place_answer import MapReading, PlaceReport
 from station.model.place_map import Grouping, PlaceMap
 from station.places.localisation.index_file import index_of
 from station.places.localisation.localizer import Localizer
-from station.places.localisation.map_index import make_index
+from station.places.localisation.make_index import make_index
 from station.places.making.build import build_map
 from station.robots.current_place import CurrentPlace
 from station.vision.appearance import AppearanceIndex

@@ -18,7 +18,8 @@ from station.places.localisation import index_file
 from station.places.localisation.index_file import KEPT, LOCK, index_of
 from station.places.localisation.index_path import FOLDER, SUFFIX, forget_index
 from station.places.localisation.localizer import Localizer
-from station.places.localisation.map_index import fingerprint, make_index
+from station.places.localisation.make_index import make_index
+from station.places.localisation.map_index import fingerprint
 from tests.support.link import until
 from tests.support.walls import CALIBRATION, camera_at, frame, make_map, picture
 
@@ -61,6 +62,10 @@ def test_the_second_worker_describes_nothing_and_answers_the_same_bits(tmp_path:
     second, described = look(tmp_path, wall)
     assert described == 0
     assert answers(first) == answers(second) == alone
+    tried, again = first.tried[0], second.tried[0]
+    assert tried and [len(one.candidates) for one in tried] == [len(one.candidates) for one in again]
+    for one, other in zip(tried, again, strict=True):
+        assert one.candidates[0].T_map_cam.tobytes() == other.candidates[0].T_map_cam.tobytes()
     with pytest.raises(ValueError, match="read-only"):
         second.appearances[0].arrays()["word_idf"][:] = 0.0
 

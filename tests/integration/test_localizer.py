@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import msgspec
@@ -18,7 +19,8 @@ from station.model.map_store import StoreAddress
 from station.model.navigation import Keyframes, Navigation
 from station.model.place_answer import HijackNotice, MapReading, PlaceReport
 from station.model.place_map import PlaceMap
-from station.places.localisation.localizer import Localizer
+from station.places.localisation.localizer import Attempt, Localizer
+from station.places.localisation.make_index import make_index
 from station.places.making.build import build_map
 from station.vision.appearance import AppearanceIndex
 from station.vision.features import FeatureExtractor
@@ -117,6 +119,25 @@ def test_a_map_by_wheels_and_one_by_hand_are_both_asked_as_their_pictures_were_d
             turned = both.localize(frame(picture(seed, camera_at(0.3) @ se3(upside_down, np.zeros(3)))), calibration)
             # On wheels nothing is seen upside down.
             assert (turned is None) == (expected == first.id)
+
+
+def test_own_pictures_are_looked_for_without_the_keyframes_near_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    place_map = make_map("wall", 1)
+    poses = place_map.navigation.keyframes.T_world_cam
+    attempt, left_out = Localizer.attempt_features, []
+
+    def noted(*args: Any, **more: Any) -> Attempt:
+        left_out.append(more["left_out"])
+        return attempt(*args, **more)
+
+    monkeypatch.setattr(Localizer, "attempt_features", noted)
+    tried = make_index(place_map).tried
+    for k, near in enumerate(left_out):
+        away_m = np.linalg.norm(poses[:, :3, 3] - poses[k, :3, 3], axis=1)
+        assert near == set(np.flatnonzero(away_m < 1.75).tolist())  # 35 degrees at three metres
+    assert tried
+    for one in tried:
+        assert np.linalg.norm(one.candidates[0].T_map_cam[:3, 3] - one.T_map_cam[:3, 3]) < 0.05
 
 
 def test_a_dark_image_is_refused_by_name(localizer: Localizer) -> None:

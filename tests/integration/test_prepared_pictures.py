@@ -20,7 +20,7 @@ from station.places.localisation import index_file
 from station.places.localisation.described_pictures import DescribedPictures
 from station.places.localisation.index_path import FOLDER, SUFFIX
 from station.places.localisation.localizer import Localizer
-from station.places.localisation.map_index import make_index
+from station.places.localisation.make_index import make_index
 from station.vision.features import Features
 from station.workers.library_jobs import LibraryJobs
 from station.workers.place_interface import PlaceEvent

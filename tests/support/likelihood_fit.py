@@ -14,6 +14,7 @@ from station.places.making.scale import USUAL_VIEWING_M
 from station.places.tracking.config import BeliefConfig
 from station.places.tracking.fitted import RecognisedOdds, Usual
 from station.places.tracking.image_evidence import LITTLE, terms
+from station.places.tracking.own_pictures import RIGHT_M
 
 Row = dict[str, Any]
 Losses = Callable[[FloatArray], FloatArray]  # of coefficients (k,): nats of each image (n,)
@@ -21,7 +22,6 @@ LossesOf = Callable[[list[Row]], Losses]
 
 TERMS = len(RecognisedOdds.__struct_fields__)
 RIDGE = 1e-3  # on the coefficients but the constant, against the mean loss: it draws them to zero
-RIGHT_M = 0.5  # from the true position: a map that SLAM bent is no look-alike
 FRESH = 0.7  # of what makes an image independent of the last one
 
 
@@ -56,7 +56,7 @@ def with_previous(rows: list[Row]) -> list[Row]:
 
 
 def fitted_right(rows: list[Row]) -> Fit:
-    """Which pose of an image is right, or none of them."""
+    """Which pose of an image is right, or none of them; `own` of a row is what its map adds to the log odds."""
     return _fit([r for r in rows if r["mapped"] and r["poses"]], right_pose_losses, TERMS)
 
 
@@ -139,12 +139,13 @@ def right_pose_losses(rows: list[Row]) -> Losses:
     number = np.array([k for row in rows for k in range(len(row["poses"]))])
     X = np.array([terms(pose["figures"]) for row in rows for pose in row["poses"]])
     most = int(number.max()) + 1
+    own = np.array([row.get("own", 0.0) for row in rows])[image]
     truth = np.array([_right_pose(row, none=most) for row in rows])
 
     def losses(w: FloatArray) -> FloatArray:
         log = np.full((len(rows), most + 1), -np.inf)
         log[:, most] = 0.0
-        log[image, number] = X @ w
+        log[image, number] = X @ w + own
         return np.asarray(np.logaddexp.reduce(log, axis=1) - log[np.arange(len(rows)), truth])
 
     return losses

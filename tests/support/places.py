@@ -22,6 +22,7 @@ ODDS = FittedOdds(
     log_loss={},
     usual=Usual(support=0.2, off_floor=1.0),
     right=RecognisedOdds(16.254, extent=2.86, inliers=0.49, support=1.78, features=-1.54, off_floor=-0.5, free=0.0),
+    tried=0.0,
     unmapped=RecognisedOdds(-6.834, extent=0.51, inliers=-1.43, support=0.17, features=2.03, off_floor=0.0, free=0.0),
     fails_at_pose=FailureOdds(2.203, features=-0.84, again=1.68, in_view=-0.81),
     fails_in_map=FailureOdds(5.22, features=-1.15, again=2.17),

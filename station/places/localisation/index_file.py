@@ -26,7 +26,8 @@ from station.model.navigation import Navigation
 from station.model.place_map import PlaceMap
 from station.places.localisation.described_pictures import DescribedPictures
 from station.places.localisation.index_path import SUFFIX, index_path
-from station.places.localisation.map_index import MapIndex, fingerprint, make_index
+from station.places.localisation.make_index import make_index
+from station.places.localisation.map_index import MapIndex, fingerprint
 
 logger = logging.getLogger(__name__)
 SCRATCH, LOCK = ".new", "lock"

@@ -7,7 +7,7 @@ measurements behind the thresholds.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -24,6 +24,7 @@ from station.model.place_map import PlaceMap
 from station.places.localisation.keyframe_features import KeyframeFeatures, describe_keyframes
 from station.places.localisation.map_index import MapIndex
 from station.places.localisation.region_pose import FoundPose, MatchingConfig, find_pose
+from station.vision.appearance import AppearanceIndex
 from station.vision.features import FeatureExtractor, Features, extract_encoded, to_rays
 
 
@@ -91,6 +92,7 @@ class Localizer:
                 described = [describe_keyframes(one, partial(self._describe, up_deg=_up_in(one))) for one in self.maps]
             index = [MapIndex.of_keyframes(keyframes) for keyframes in described]
         self.appearances = tuple(one.appearance for one in index)
+        self.tried = tuple(one.tried for one in index)
         self._keyframes: list[_Keyframe] = []
         self._first: list[int] = []  # of each map's keyframes
         for m, (place_map, one) in enumerate(zip(self.maps, index, strict=True)):
@@ -133,16 +135,14 @@ class Localizer:
         t_robot_ns: int,
         told: CameraCalibration,
         fit: CalibrationFit | None = None,
+        left_out: Collection[int] = (),
     ) -> Attempt:
-        """As `attempt`, from the features of an image for each map."""
+        """As `attempt`, from the features of an image for each map; `left_out`: keyframes that are not matched."""
         seen = features[0]  # always the same map's: whoever compares images has features of one kind
         n = max(map(len, features))
         if n < self.config.min_inliers:
             return _nothing(f"only {n} features in the image: dark, covered, blurred or featureless", seen)
-        proposed = [
-            index.query(one.descriptors, self.config.num_proposals)
-            for index, one in zip(self.appearances, features, strict=True)
-        ]
+        proposed = [self._propose(index, one, left_out) for index, one in zip(self.appearances, features, strict=True)]
         if not any(len(images) for images, _ in proposed):
             return _nothing("nothing in the map resembles the image", seen)
         cameras = [best_camera(told, one.navigation, fit) for one in self.maps]
@@ -179,6 +179,14 @@ class Localizer:
             )
         reason = f"another part of the map fits as well ({rival} against {verified[0].pose.num_inliers} landmarks)"
         return Attempt(None, candidates, reason, n, best_inliers, best_similarity, seen)
+
+    def _propose(
+        self, index: AppearanceIndex, features: Features, left_out: Collection[int]
+    ) -> tuple[IntArray, FloatArray]:
+        """Keyframes of a map that look most like an image, and how much."""
+        images, similarity = index.query(features.descriptors, self.config.num_proposals + len(left_out))
+        kept = np.flatnonzero([i not in left_out for i in images.tolist()])[: self.config.num_proposals]
+        return images[kept], similarity[kept]
 
     def _groups(self, images: IntArray) -> list[list[int]]:
         """Proposed keyframes of one map by region: each of the best ones with those that share landmarks with it."""

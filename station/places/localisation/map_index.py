@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -12,13 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from station.model.place_map import PlaceMap
-from station.places.localisation.described_pictures import DESCRIBED_BY, DescribedPictures
-from station.places.localisation.keyframe_features import KeyframeFeatures, describe_keyframes
+from station.places.localisation.described_pictures import DESCRIBED_BY
+from station.places.localisation.keyframe_features import KeyframeFeatures
 from station.places.localisation.region_pose import MIN_MATCHES
+from station.places.localisation.tried_pictures import Arrays, TriedPicture, tried_arrays, tried_of_arrays
 from station.vision.appearance import AppearanceIndex
 
-Arrays = Mapping[str, npt.NDArray[np.generic]]
-VERSION = 4  # of how described pictures are indexed: count it up when that changes
+VERSION = 5  # of how described pictures are indexed: count it up when that changes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,6 +27,7 @@ class MapIndex:
 
     keyframes: tuple[KeyframeFeatures, ...]
     appearance: AppearanceIndex
+    tried: tuple[TriedPicture, ...] = ()  # the map's own pictures
 
     @classmethod
     def of_keyframes(cls, described: Sequence[KeyframeFeatures]) -> MapIndex:
@@ -43,7 +44,7 @@ class MapIndex:
             "landmark": np.concatenate([np.zeros(0, np.int64), *(k.landmark for k in self.keyframes)]),
             "first": np.cumsum([0, *(len(k.landmark) for k in self.keyframes)]),
         }
-        return {**of_keyframes, **self.appearance.arrays()}
+        return {**of_keyframes, **self.appearance.arrays(), **tried_arrays(self.tried)}
 
     @classmethod
     def of_arrays(cls, arrays: Arrays) -> MapIndex:
@@ -58,20 +59,7 @@ class MapIndex:
             )
             for begin, end in itertools.pairwise(first)
         )
-        return cls(keyframes, AppearanceIndex.of_arrays(len(keyframes), arrays))
-
-
-def make_index(
-    place_map: PlaceMap,
-    on_keyframe: Callable[[], None] = lambda: None,
-    pictures: DescribedPictures | None = None,
-) -> MapIndex:
-    """Describe and index all keyframes: some 100 ms for each on one core; `on_keyframe` is called before each.
-
-    `pictures`: what is described already.
-    """
-    pictures = pictures or DescribedPictures(place_map.navigation.calibration.up_in_image_deg)
-    return MapIndex.of_keyframes(describe_keyframes(place_map, pictures.describe, on_keyframe))
+        return cls(keyframes, AppearanceIndex.of_arrays(len(keyframes), arrays), tried_of_arrays(arrays))
 
 
 def fingerprint(place_map: PlaceMap) -> str:

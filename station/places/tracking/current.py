@@ -19,6 +19,7 @@ from shared.geometry import FloatArray, inverse, so3_log
 from station.model.place_answer import Localization, PlaceAnswer
 from station.model.place_map import PlaceMap
 from station.motion.head import AHEAD, Aim
+from station.places.localisation.tried_pictures import TriedPicture
 from station.places.tracking.belief import Belief, Hypothesis
 from station.places.tracking.config import BeliefConfig
 from station.places.tracking.filter import (
@@ -33,6 +34,7 @@ from station.places.tracking.filter import (
 )
 from station.places.tracking.image_evidence import ImageEvidence, ImageLikelihood
 from station.places.tracking.map_view import MapView
+from station.places.tracking.own_pictures import judged, own_log_odds
 from station.places.tracking.report import Past, PlaceProbabilities, Reporter
 from station.places.tracking.servos import SureView
 from station.places.tracking.views import RecentViews
@@ -68,8 +70,14 @@ class CurrentPlaceEstimator:
         calibration: Calibration | None = None,
         config: BeliefConfig | None = None,
         seed: int = 0,
+        tried: Sequence[Sequence[TriedPicture]] | None = None,
     ) -> None:
-        """`calibration`: of the robot that drives now; by default that of the first map's navigation."""
+        """An estimate of nothing yet.
+
+        Args:
+            calibration: of the robot that drives now; by default that of the first map's navigation.
+            tried: each map's own pictures.
+        """
         if calibration is None and maps:
             calibration = maps[0].navigation.calibration
         self._has_wheels = calibration is None or calibration.has_wheels
@@ -77,7 +85,12 @@ class CurrentPlaceEstimator:
         self.config = (config or BeliefConfig()).for_rig(self._has_wheels, has_imu)
         self._maps = tuple(MapView.of(m) for m in maps)
         self._map_ids = {m.id for m in maps}
-        self._evidence = ImageEvidence(self._maps, calibration, self.config)
+        odds = self.config.fitted
+        own = [
+            own_log_odds(judged(view, pictures), odds.right, odds.usual, odds.tried)
+            for view, pictures in zip(self._maps, tried or [()] * len(maps), strict=True)
+        ]
+        self._evidence = ImageEvidence(self._maps, calibration, self.config, own)
         self._reporter = Reporter(self._maps, self.config, seed)
         self._belief = prior(self.config)
         self._odometry: deque[_OdometryPose] = deque(maxlen=HISTORY)

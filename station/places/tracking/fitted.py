@@ -45,6 +45,7 @@ class FittedOdds(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     log_loss: dict[str, float]  # of each regression, nats per image, every kind of world by what the others say
     usual: Usual
     right: RecognisedOdds  # that the pose is right, against a look-alike
+    tried: float  # what is added to them for a map's own pictures, tried in it, in all maps alike (`own_pictures.py`)
     unmapped: RecognisedOdds  # that no map knows where the image was taken, against somewhere in a map
     fails_at_pose: FailureOdds
     fails_in_map: FailureOdds  # at a pose that nobody knows

@@ -89,8 +89,16 @@ class ImageLikelihood:
 class ImageEvidence:
     """Likelihoods of one robot's images in the active maps."""
 
-    def __init__(self, maps: Sequence[MapView], calibration: Calibration | None, config: BeliefConfig) -> None:
+    def __init__(
+        self,
+        maps: Sequence[MapView],
+        calibration: Calibration | None,
+        config: BeliefConfig,
+        own: Sequence[float] | None = None,
+    ) -> None:
+        """`own`: of each map, what its own pictures add to the log odds of poses (`own_pictures.py`)."""
         self._maps = maps
+        self._own = [0.0] * len(maps) if own is None else own
         camera = calibration.camera if calibration else None
         has_wheels = calibration is not None and calibration.has_wheels
         self._index = {view.place_map.id: i for i, view in enumerate(maps)}
@@ -117,7 +125,7 @@ class ImageEvidence:
         c = self.config
         candidates = [self.measured(z, aim) for z in localizations]
         figures = [self.figures(m).or_usual(c.fitted.usual) for m in candidates]
-        odds = np.exp([log_odds(c.fitted.right, f) for f in figures])
+        odds = np.exp([self._log_odds(m, f) for m, f in zip(candidates, figures, strict=True)])
         false = max(1.0 / (1.0 + float(odds.sum())), c.false_localization_floor)
         share = odds / odds.sum()
         fits = [[self._fit(h, m, T_nav_body) for m in candidates] for h in before.hypotheses]
@@ -160,7 +168,7 @@ class ImageEvidence:
         fails_in_map = failure_probability(c.fitted.fails_in_map, figures[0].features, 0.0)
         alike = twins.after(expected_by, fails_in_map)
         likeliest = int(np.argmax(share))
-        strayed = self._rarer(figures[likeliest]) if expected_by[likeliest] is None else false
+        strayed = self._rarer(candidates[likeliest], figures[likeliest]) if expected_by[likeliest] is None else false
         return ImageLikelihood(
             at=twins.levelled(factors, alike),
             lost=stays,
@@ -199,10 +207,14 @@ class ImageEvidence:
         is_free = bool(view.space.knows(m.T_map_body[None, :3, 3])[0])
         return MatchFigures(z.extent / m.unit, z.num_inliers, share, z.num_features, off_floor, is_free)
 
-    def _rarer(self, figures: MatchFigures) -> float:
-        """How much rarer an image whose best candidate has these is where no map knows than somewhere in a map."""
+    def _rarer(self, m: PoseMeasurement, figures: MatchFigures) -> float:
+        """How much rarer an image whose best candidate has these is where no map knows than somewhere in a map.
+
+        What looks alike there deceives as often as what looks alike in the map.
+        """
         c = self.config
-        return float(np.clip(np.exp(log_odds(c.fitted.unmapped, figures)), c.false_localization_floor, 1.0))
+        log = log_odds(c.fitted.unmapped, figures) - self._own[m.map_index]
+        return float(np.clip(np.exp(log), c.false_localization_floor, 1.0))
 
     def _fit(self, h: Hypothesis, m: PoseMeasurement, T_nav_body: FloatArray) -> Agreement:
         """How well a candidate fits a hypothesis, as it is or should wheels have slipped; in another map not at all.
@@ -267,7 +279,11 @@ class ImageEvidence:
         together = had.and_then(z.landmarks, z.t_robot_ns)
         p_map = self._maps[m.map_index].place_map.navigation.landmarks.p_world
         extent_m = together.extent(p_map, CELL_M * m.unit) / m.unit
-        return log_odds(self.config.fitted.right, replace(figures, extent_m=extent_m))
+        return self._log_odds(m, replace(figures, extent_m=extent_m))
+
+    def _log_odds(self, m: PoseMeasurement, figures: MatchFigures) -> float:
+        """That a pose with these figures is right."""
+        return log_odds(self.config.fitted.right, figures) + self._own[m.map_index]
 
     def _recognised_before(self, hypotheses: Sequence[Hypothesis], m: PoseMeasurement) -> Recognised:
         """Landmarks of the candidate's map that these hypotheses recognised lately."""

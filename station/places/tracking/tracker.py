@@ -18,6 +18,7 @@ from station.model.place_map import PlaceMap
 from station.motion.dead_reckoning import DeadReckoning
 from station.motion.head import AHEAD
 from station.places.localisation.localizer import Attempt, Localizer
+from station.places.localisation.make_index import make_index
 from station.places.tracking.config import BeliefConfig
 from station.places.tracking.current import CurrentPlaceEstimator
 from station.places.tracking.hijack import HijackDetector
@@ -39,8 +40,8 @@ class PlaceTracker:
     ) -> None:
         """`localizer`: one that was made for these maps, to save describing their keyframes again."""
         self._calibration = calibration
-        self.localizer = localizer or Localizer(maps)
-        self.estimator = CurrentPlaceEstimator(maps, calibration, config)
+        self.localizer = localizer or Localizer(maps, index=[make_index(one) for one in maps])
+        self.estimator = CurrentPlaceEstimator(maps, calibration, config, tried=self.localizer.tried)
         self.hijacks = HijackDetector(has_wheels=calibration.has_wheels)
         self._reckoning = DeadReckoning()
         self._servos = ServoLearner(calibration.head, self.estimator.config)

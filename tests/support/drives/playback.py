@@ -15,6 +15,7 @@ from station.model.frames import DriveSample, ImageFrame, ImuBatch
 from station.model.place_answer import HijackEvent, PlaceAnswer
 from station.model.place_map import PlaceMap
 from station.places.localisation.localizer import Attempt, Localizer
+from station.places.localisation.tried_pictures import TriedPicture
 from station.places.tracking.tracker import PlaceTracker
 from tests.support.drives.recorded import LookedAt, RecordedDrive, SlamFit, SlamPose
 
@@ -24,8 +25,12 @@ MakeTracker = Callable[[Sequence[PlaceMap], Calibration, Localizer], PlaceTracke
 class PlayedBackLocalizer(Localizer):
     """Gives the recorded attempt of each image, by the image's time."""
 
-    def __init__(self, maps: Sequence[PlaceMap], images: Iterable[LookedAt]) -> None:
+    def __init__(
+        self, maps: Sequence[PlaceMap], images: Iterable[LookedAt], tried: Sequence[TriedPicture] = ()
+    ) -> None:
+        """`tried`: the only map's own pictures."""
         self.maps = tuple(maps)
+        self.tried = (tuple(tried),) if tried else ((),) * len(maps)
         self._attempts = {image.t_robot_ns: image.attempt for image in images}
 
     def attempt(self, frame: ImageFrame, calibration: Calibration, fit: CalibrationFit | None = None) -> Attempt:
@@ -40,9 +45,14 @@ class Played:
     hijacks: tuple[HijackEvent, ...]
 
 
-def play_back(place_map: PlaceMap, drive: RecordedDrive, make_tracker: MakeTracker = PlaceTracker) -> Played:
-    """Feed a tracker with all that the robot sent."""
-    tracker = make_tracker([place_map], drive.calibration, PlayedBackLocalizer([place_map], drive.images))
+def play_back(
+    place_map: PlaceMap,
+    drive: RecordedDrive,
+    make_tracker: MakeTracker = PlaceTracker,
+    tried: Sequence[TriedPicture] = (),
+) -> Played:
+    """Feed a tracker with all that the robot sent; `tried`: the map's own pictures."""
+    tracker = make_tracker([place_map], drive.calibration, PlayedBackLocalizer([place_map], drive.images, tried))
     camera = drive.calibration.camera
     shift_ns = round(1e9 * camera.time_shift_s) if camera else 0
     answers: list[tuple[LookedAt, PlaceAnswer]] = []

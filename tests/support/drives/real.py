@@ -25,6 +25,7 @@ from station.model.frames import DepthFrame, DriveSample, ImuBatch
 from station.model.navigation import Trajectory
 from station.motion.interpolation import interpolate_poses
 from station.places.localisation.localizer import Localizer
+from station.places.localisation.make_index import make_index
 from station.places.making.build import build_map
 from station.workers.replay import ReplayOptions, follow, has_live_poses, live_backend
 from tests.support.drives.recorded import Event, LookedAt, RecordedDrive, RecordedWorld, in_map
@@ -93,14 +94,17 @@ def make_real(name: str) -> RecordedWorld:
                 return RecordedWorld(KIND, name, "", "", None, str(exc), None, truth, (), spent.cpu_s)
             quality = compare(navigation, truth)
         with spent.on("index"):
-            localizer = Localizer([place_map])
+            index = make_index(place_map)
+            localizer = Localizer([place_map], index=[index])
         drives = []
         for part in case.queries:
             with spent.on(part.folder):
                 T_world_map = quality.T_world_map if case.is_same_building else None
                 drives.append(_drive(open_part(part), part, localizer, T_world_map))
     left_out = "" if case.is_same_building else "everywhere"
-    return RecordedWorld(KIND, name, "", left_out, place_map, "", quality, truth, tuple(drives), spent.cpu_s)
+    return RecordedWorld(
+        KIND, name, "", left_out, place_map, "", quality, truth, tuple(drives), spent.cpu_s, tried=index.tried
+    )
 
 
 def _drive(data: Dataset, part: Part, localizer: Localizer, T_world_map: FloatArray | None) -> RecordedDrive:

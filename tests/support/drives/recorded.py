@@ -12,6 +12,7 @@ from station.model.frames import DriveSample, ImuBatch
 from station.model.navigation import Trajectory
 from station.model.place_map import PlaceMap
 from station.places.localisation.localizer import Attempt
+from station.places.localisation.tried_pictures import TriedPicture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,6 +97,7 @@ class RecordedWorld:
     cpu_s: dict[str, float] = field(default_factory=dict)  # what making it cost
     is_mapped_both_ways: bool = True  # whoever mapped a simulated home went both ways round every room
     has_identical_twins: bool = False  # nothing within twin rooms tells them apart
+    tried: tuple[TriedPicture, ...] = ()  # the map's own pictures
 
 
 def generator_of(kind: str) -> str:

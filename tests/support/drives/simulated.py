@@ -30,6 +30,7 @@ from station.model.place_map import PlaceMap
 from station.model.slam_update import SlamUpdate
 from station.motion.interpolation import interpolate_poses
 from station.places.localisation.localizer import Localizer
+from station.places.localisation.make_index import make_index
 from station.places.making.build import build_map
 from station.workers.slam import NavigationSlam
 from tests.support.drives.misfit import Misfit
@@ -105,12 +106,20 @@ def make_drives(kind: str, seed: int, misfit: Misfit, options: DriveOptions) -> 
         except EstimationError as exc:
             return replace(empty, failure=str(exc))
     with spent.on("index"):
-        localizer = Localizer([mapped.place_map])
+        index = make_index(mapped.place_map)
+        localizer = Localizer([mapped.place_map], index=[index])
     drives = []
     for number, plan in enumerate(plans):
         with spent.on(plan.name):
             drives.append(flat.drive(plan, seed + 1 + number, localizer, mapped.quality.T_world_map, left_out))
-    return replace(empty, place_map=mapped.place_map, quality=mapped.quality, truth=mapped.truth, drives=tuple(drives))
+    return replace(
+        empty,
+        place_map=mapped.place_map,
+        quality=mapped.quality,
+        truth=mapped.truth,
+        drives=tuple(drives),
+        tried=index.tried,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
