@@ -51,6 +51,7 @@ class NetworkModel(Model):
     sentence: str = Field(description="for a person")
     round_trip_ms: float | None = Field(description="of nine in ten heartbeats at most")
     picture_age_ms: float | None = Field(description="of nine in ten pictures at most, on arrival at the station")
+    computer_busy: bool = Field(description="what is late is so by the station's computer, not by the network")
 
 
 class BatteryModel(Model):

@@ -695,6 +695,8 @@ export interface NetworkModel {
   round_trip_ms: number | null;
   /** of nine in ten pictures at most, on arrival at the station */
   picture_age_ms: number | null;
+  /** what is late is so by the station's computer, not by the network */
+  computer_busy: boolean;
 }
 
 /** What it shall be called. */
