@@ -7,6 +7,7 @@ carries messages.
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,6 +45,7 @@ from station.workers.scheduling import ComputeSlots
 MAX_STOP_LINES = 8
 STOP_CONFIRMED_WITHIN_S = 0.15  # whoever pressed STOP hears within 0.2 s what became of it
 MAX_WARNINGS = 20  # different ones of one robot in a minute
+STATUS_HOLDS_NS = 2_000_000_000  # the robot tells it once a second; one that was lost must keep nobody from driving
 HIJACK_NOTICE = "the simulated robot is picked up to be put down elsewhere"
 
 
@@ -103,6 +105,7 @@ class RobotSession(IgnoringListener):
         self._hijacking = asyncio.Lock()
         self._calibrating = asyncio.Lock()
         self.applied: DriveApplied | None = None
+        self._status: tuple[Status, int] | None = None  # the newest of this connection, and when it came
         self.current_place = CurrentPlace(
             shared.store,
             config.localization,
@@ -137,6 +140,7 @@ class RobotSession(IgnoringListener):
             on_silence=lambda text: events.notify("drive", text, "warning"),
             on_command=self.current_navigation.on_command,
             must_stand=lambda: self.must_stand,
+            other_station=lambda: self.other_station,
         )
 
     async def run(self) -> None:
@@ -193,6 +197,15 @@ class RobotSession(IgnoringListener):
         if self.active_maps.first is None or self._knows_camera:
             return ""
         return "the camera looks aside; the place is looked for again when it looks straight ahead (pan 0, tilt 0)"
+
+    @property
+    def other_station(self) -> str | None:
+        """The other station that drives the robot, as it said lately; it refuses our commands then."""
+        if self._status is None:
+            return None
+        status, t_station_ns = self._status
+        is_old = time.monotonic_ns() - t_station_ns > STATUS_HOLDS_NS
+        return None if status.you_drive or is_old else status.driver
 
     @property
     def must_stand(self) -> str:
@@ -341,6 +354,7 @@ class RobotSession(IgnoringListener):
         self.events.changed("robot")
 
     def on_disconnected(self, reason: str) -> None:
+        self._status = None
         self.events.notify("link", f"robot lost: {reason}", "warning")
         self.events.changed("robot")
 
@@ -358,7 +372,8 @@ class RobotSession(IgnoringListener):
     def on_drive_applied(self, applied: DriveApplied) -> None:
         self.applied = applied
 
-    def on_status(self, status: Status) -> None:  # noqa: ARG002
+    def on_status(self, status: Status) -> None:
+        self._status = (status, time.monotonic_ns())
         self.events.changed("robot")
 
     def on_notice(self, notice: ErrorNotice) -> None:

@@ -162,8 +162,8 @@ class StopModel(Model):
 
 
 class DriverModel(Model):
-    driver: str | None
-    you_drive: bool
+    driver: str | None = Field(description="who drives through this station")
+    you_drive: bool = Field(description="that is you, and the robot has not said that another station drives it")
     keeps_s: float = Field(description="so long the driver keeps the wheel without another word", examples=[6.0])
 
 

@@ -373,7 +373,9 @@ export interface DriverMessage {
 }
 
 export interface DriverModel {
+  /** who drives through this station */
   driver: string | null;
+  /** that is you, and the robot has not said that another station drives it */
   you_drive: boolean;
   /** so long the driver keeps the wheel without another word */
   keeps_s: number;
