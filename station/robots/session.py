@@ -14,7 +14,6 @@ from pathlib import Path
 
 from shared.calibration import Calibration
 from shared.messages import CameraFrame, Capabilities, DriveApplied, ErrorNotice, Hello, Status
-from shared.pictures import picture_size
 from shared.repetition import Repetition
 from station.access.paired_robots import PairedRobots
 from station.calibration.guidance import GuidedKind
@@ -34,7 +33,7 @@ from station.robots.current_place import CurrentPlace
 from station.robots.driving import Driving
 from station.robots.guided_calibration import CalibrationSession, GuidedCalibration
 from station.robots.link import RobotLink
-from station.robots.link_events import IgnoringListener, LinkListeners
+from station.robots.link_events import CheckedPictures, IgnoringListener
 from station.robots.link_state import LinkState
 from station.robots.navigation_files import NavigationRecorder
 from station.workers.calibration_interface import PrintedBoard
@@ -70,20 +69,6 @@ class Shared:
     make_recorder: Callable[[Path], NavigationRecorder | None]
     place_program: ProgramName[PlaceProgram, PlaceEvent]  # what the localisation workers run
     slots: ComputeSlots  # of the localisation workers of all robots
-
-
-def _why_not_shown(frame: CameraFrame) -> str:
-    """Why no page gets a picture: a browser takes memory for what the JPEG itself says, up to 65,535 x 65,535 pixels.
-
-    Goes on a sentence; empty: it gets it.
-    """
-    try:
-        width, height = picture_size(frame.jpeg)
-    except ValueError as exc:
-        return str(exc)
-    if (width, height) != (frame.width, frame.height):
-        return f"is {width}x{height} pixels, announced were {frame.width}x{frame.height}"
-    return ""
 
 
 class RobotSession(IgnoringListener):
@@ -129,7 +114,7 @@ class RobotSession(IgnoringListener):
         events.on_line = self.current_navigation.on_log
         self.ahead = AheadWatch(events)
         parts = (self.current_navigation, self.current_place, self.guided_calibration, self.ahead)
-        listeners = LinkListeners(*parts, self)
+        listeners = CheckedPictures(self._refuse_picture, *parts, self)
         self.link = RobotLink(robot.host, robot.port, listeners, station_name=config.name, robots=shared.paired)
         self.link.commands.must_stand = lambda: self.must_stand != ""
         self.driving = Driving(
@@ -359,9 +344,6 @@ class RobotSession(IgnoringListener):
         self.events.changed("robot")
 
     def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
-        if why := _why_not_shown(frame):
-            self._warn("camera", f"the robot's picture {why}; it is not shown", "picture")
-            return
         captured = self.link.to_station_ns(frame.t_robot_ns)
         # The clocks of robot and station are known to a millisecond or so; no picture comes before it was taken.
         self.camera.put(SeenFrame(frame, t_station_ns, None if captured is None else min(captured, t_station_ns)))
@@ -386,6 +368,9 @@ class RobotSession(IgnoringListener):
         """A robot may say the same many times a second, or ever other things: the log keeps room for other lines."""
         if (line := self._warnings.news(text, key)) is not None:
             self.events.notify(topic, line, "warning")
+
+    def _refuse_picture(self, why: str) -> None:
+        self._warn("camera", f"the robot's picture {why}; it is neither shown, recorded nor computed with", "picture")
 
     def _receive_fit(self, hello: Hello, fit: CalibrationFit) -> None:
         """What SLAM says of the calibration in this hello; pages are told when it means something else than before."""
