@@ -169,7 +169,8 @@ class PlaceMerge(Question):
 class PlacesChangeModel(Model):
     """What a person made of places or rooms: renamed, hidden, merged, doors drawn and erased."""
 
-    version: int = Field(description="of the map, that the change led to", examples=[4])
+    map: str = Field(description="id of the map that was changed", examples=["map-0a1b"])
+    version: int = Field(description="of that map, that the change led to", examples=[4])
     why: str = Field(examples=["Kitchen and Place 3 are one"])
     unix_s: float
 
@@ -183,6 +184,12 @@ class UndoOrder(Question):
         le=2**53,
         description="only if this is the newest change; null: whatever it is",
         examples=[4],
+    )
+    map: str | None = Field(
+        default=None,
+        max_length=200,
+        description="only if this map is in use; null: whichever is",
+        examples=["map-0a1b"],
     )
 
 

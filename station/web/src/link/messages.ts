@@ -784,7 +784,9 @@ export interface PlaceProbability {
 
 /** What a person made of places or rooms: renamed, hidden, merged, doors drawn and erased. */
 export interface PlacesChangeModel {
-  /** of the map, that the change led to */
+  /** id of the map that was changed */
+  map: string;
+  /** of that map, that the change led to */
   version: number;
   why: string;
   unix_s: number;
@@ -1022,6 +1024,8 @@ export interface TrajectoryModel {
 export interface UndoOrder {
   /** only if this is the newest change; null: whatever it is */
   version: number | null;
+  /** only if this map is in use; null: whichever is */
+  map: string | null;
 }
 
 export interface UsedNoise {
