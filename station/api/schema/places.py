@@ -267,6 +267,9 @@ def current_place(robot: RobotSession) -> CurrentPlace:
     room = next(rooms_now(answer.room), None)
     is_metric = active.place_map.navigation.is_metric
     two = list(rooms_now(*answer.one_of_two))
+    others = list(rooms_now(*answer.room_alternatives))
+    both = {one.id for one in (room, *others[:1]) if one is not None}
+    doors = {door.id for one in robot.active_maps.all for door in one.doors if both == set(door.rooms)}
     evidence_ns, keyframe = answer.evidence_t_robot_ns, answer.evidence_keyframe
     has_query = evidence_ns is not None and robot.current_place.query_image(evidence_ns) is not None
     return CurrentPlace(
@@ -288,9 +291,9 @@ def current_place(robot: RobotSession) -> CurrentPlace:
             for place, one in [known[c.id]]
         ],
         room=room,
-        room_alternatives=list(rooms_now(*answer.room_alternatives)),
+        room_alternatives=others,
         one_of_two=two if len(two) == 2 else [],  # not where they were made one meanwhile
-        doorway=answer.doorway,
+        doorway=answer.doorway if answer.doorway in doors else None,  # not of a door that was erased meanwhile
         evidence=Evidence(
             query_image=f"{robot.path}/place/current/images/{evidence_ns}.jpg" if has_query else None,
             map_image=None if keyframe is None else f"/maps/{map_id}/images/{keyframe}.jpg",
