@@ -27,6 +27,7 @@ from shared.errors import DataError
 from shared.mcap_records import bounded_records
 from shared.message_codec import UNDECODABLE
 from shared.messages import Hello
+from shared.pictures import why_not_as_announced
 from shared.recorded_files import MAX_EXPOSURE_NS, MAX_TIME_NS
 from shared.text import explain
 
@@ -139,20 +140,25 @@ class RecordedPicture:
     t_robot_ns: int
     since_first_s: float
     jpeg: bytes
+    why_unusable: str = ""  # it is not of the size that was announced with it; goes on a sentence
 
 
 def recorded_pictures(path: Path) -> Iterator[RecordedPicture]:
     """Pictures in the order recorded, read as they are asked for. Raises DataError, also later."""
-    pending: int | None = None
+    pending: tuple[int, int, int] | None = None  # time, width, height
     first_ns: int | None = None
     number = 0
     for topic, data, _ in _messages(path, {FRAME_TOPIC, IMAGE_TOPIC}):
         if topic == FRAME_TOPIC:
             with _taken_for_ours(path, topic):
-                pending = _time(_json(data, path))
+                content = _json(data, path)
+                pending = _time(content), content["width"], content["height"]
         elif pending is not None:
-            first_ns = pending if first_ns is None else first_ns
-            yield RecordedPicture(number, pending, (pending - first_ns) * 1e-9, decode_image(data))
+            t_ns, width, height = pending
+            first_ns = t_ns if first_ns is None else first_ns
+            jpeg = decode_image(data)
+            why = why_not_as_announced(jpeg, width, height)
+            yield RecordedPicture(number, t_ns, (t_ns - first_ns) * 1e-9, jpeg, why)
             number, pending = number + 1, None
 
 

@@ -30,6 +30,19 @@ def picture_size(encoded: bytes) -> tuple[int, int]:
     return width, height
 
 
+def why_not_as_announced(encoded: bytes, width: int, height: int) -> str:
+    """Why a picture is none of those pixels, by its own header; empty: it is one. Goes on a sentence.
+
+    A browser takes memory for what a JPEG itself says, up to 65,535 x 65,535 pixels; and what is computed from another
+    size with the camera's calibration is wrong without a sign of it.
+    """
+    try:
+        own = picture_size(encoded)
+    except ValueError as exc:
+        return str(exc)
+    return "" if own == (width, height) else f"is {own[0]}x{own[1]} pixels, announced were {width}x{height}"
+
+
 def _size(encoded: bytes) -> tuple[int, int]:
     """(0, 0) where it is neither."""
     if encoded.startswith(PNG_START) and encoded[12:16] == b"IHDR" and len(encoded) >= 24:

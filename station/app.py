@@ -438,9 +438,9 @@ class Station:
         self.events.notify("map", "a door was erased")
         return edit
 
-    async def undo_places(self, version: int | None) -> PlacesChange:
+    async def undo_places(self, version: int | None, of_map: str | None = None) -> PlacesChange:
         """Take back the newest change of places or rooms. Raises Conflict."""
-        change = await self.maps.undo(version)
+        change = await self.maps.undo(version, of_map)
         self._regroup()
         self.events.notify("map", f"taken back: {change.why}")
         return change

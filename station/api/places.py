@@ -101,7 +101,7 @@ async def changes(station: StationDep) -> list[PlacesChangeModel]:
 
 
 def _change(change: PlacesChange) -> PlacesChangeModel:
-    return PlacesChangeModel.of(change, unix_s=change.changed_wall_s)
+    return PlacesChangeModel.of(change, map=change.map_id, unix_s=change.changed_wall_s)
 
 
 @router.get("/places/{place_id}", summary="One place", responses=responses(404, 409))
@@ -120,8 +120,11 @@ async def merge(order: PlaceMerge, station: StationDep, response: Response) -> P
 
 @router.post("/places/undo", summary="Take back the newest change of places or rooms", responses=responses(409))
 async def undo(station: StationDep, order: UndoOrder | None = None) -> PlacesChangeModel:
-    """A name, hiding, a merge, a door. Answers what was taken back; 409 when another change came after `version`."""
-    return _change(await station.undo_places(order.version if order else None))
+    """A name, hiding, a merge, a door. Answers what was taken back; 409 when another change came after `version`.
+
+    Versions are counted for each map: give `map` with `version`, or a change of another map may be the one that goes.
+    """
+    return _change(await (station.undo_places(order.version, order.map) if order else station.undo_places(None)))
 
 
 @router.post(

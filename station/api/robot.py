@@ -87,7 +87,7 @@ def _driver_model(robot: RobotSession, caller: str) -> DriverModel:
     driving = robot.driving
     now = driving.driver
     keeps_s = 0.0 if now is None else round(driving.lease_left_s, 1)
-    return DriverModel(driver=now, you_drive=now == caller, keeps_s=keeps_s)
+    return DriverModel(driver=now, you_drive=driving.has_wheel(caller), keeps_s=keeps_s)
 
 
 @of_robot.post("/stop", summary="Motors off now", responses=responses(503))
@@ -191,13 +191,13 @@ def _mistake(exc: ValidationError) -> str:
 
 
 async def _tell_driver(socket: WebSocket, robot: RobotSession, name: str, changes: MessageReader[Event]) -> None:
-    told: tuple[str | None] | None = None
+    told: DriveReply | None = None
     while True:
-        driver = robot.driving.driver
-        if told != (driver,):
-            told = (driver,)
-            await socket.send_text(DriveReply(driver=driver, you_drive=driver == name).model_dump_json())
-        while (await changes.get()).kind != "driver":
+        now = DriveReply(driver=robot.driving.driver, you_drive=robot.driving.has_wheel(name))
+        if now != told:
+            told = now
+            await socket.send_text(now.model_dump_json())
+        while (await changes.get()).kind not in ("driver", "robot"):  # the robot tells which station drives it
             pass
 
 

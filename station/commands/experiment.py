@@ -13,6 +13,7 @@ from shared.errors import ConfigError
 from station.commands.match_report import finish
 from station.commands.options import AlignBy, check_out_folder, overridden
 from station.commands.progress import working
+from station.commands.results_folder import naming_replaced
 from station.commands.slam import given_state, run_with_progress
 from station.datasets import Dataset
 from station.experiments.experiment import Experiment, Story, run_experiment
@@ -147,7 +148,9 @@ def reconstruct(
         if isinstance(opened.source, Dataset):
             made = run_with_progress(backends[number], opened.source, threads)
             made = replace(made, id=f"{opened.path.resolve().name}-{made.id}")
-            save_navigation(made, out / f"navigation{number}")
+            folder = out / f"navigation{number}"
+            with naming_replaced(folder, "the navigation"):
+                save_navigation(made, folder)
             navigations.append(made)
         else:
             navigations.append(opened.source)

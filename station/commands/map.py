@@ -16,6 +16,7 @@ from station.commands import map_store
 from station.commands.map_store import MapArgument, open_map
 from station.commands.options import Config, Data, Mode, Places, check_out_folder
 from station.commands.progress import Bar, working
+from station.commands.results_folder import naming_replaced
 from station.config import check_backend, check_executor
 from station.datasets import open_dataset
 from station.files.navigation_folder import load_navigation
@@ -89,7 +90,8 @@ def build(
         place_map = planned(place_map, old)
         bar.step("looking for stickers that name rooms")
         place_map = with_suggestions(place_map, bar.advance)
-    save_map_folder(place_map, out, {"graph.graphml": to_graphml(place_map)})
+    with naming_replaced(out, "the map", "map.json"):
+        save_map_folder(place_map, out, {"graph.graphml": to_graphml(place_map)})
     if as_json:
         print(json.dumps(to_json_dict(place_map)))
         return

@@ -10,13 +10,14 @@ from typing import Any
 import typer
 
 from station.commands.progress import working
+from station.commands.results_folder import naming_replaced
 from station.experiments.experiment import Experiment, results_dict
 from station.experiments.report import write_experiment
 
 
 def finish(done: Experiment, out: Path, as_json: bool) -> None:
     """Write the files and say what came out. Exit code 2 when registration was refused, as of `station register`."""
-    with working("drawing the report"):
+    with naming_replaced(out, "the report", "results.json"), working("drawing the report"):
         write_experiment(done, out)
     results = results_dict(done)
     if as_json:

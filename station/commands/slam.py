@@ -13,6 +13,7 @@ import typer
 from shared.errors import DataError
 from station.commands.options import check_out_folder
 from station.commands.progress import working
+from station.commands.results_folder import naming_replaced
 from station.datasets import Dataset, open_dataset
 from station.files.navigation_folder import check_navigation_folder, save_navigation
 from station.model.navigation import Navigation
@@ -57,7 +58,8 @@ def slam(
     given = given_state(data) if initial_state == "given" else None
     running = make_backend(backend, data.calibration, seed, threads, data.intrinsics_known, landmarks, given)
     nav = run_with_progress(running, data, threads)
-    save_navigation(nav, out)
+    with naming_replaced(out, "the navigation"):
+        save_navigation(nav, out)
     if as_json:
         print(json.dumps({"out": str(out), **msgspec.to_builtins(nav.report)}, default=str))
     else:

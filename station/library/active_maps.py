@@ -52,9 +52,13 @@ class ActiveMap:
                 return room
         raise Unknown(f"the active map has no room {shown(room_id)}; GET /rooms lists them")
 
+    @property
+    def doors(self) -> tuple[Door, ...]:
+        return () if self.place_map.plan is None else self.place_map.plan.doors
+
     def door(self, door_id: str) -> Door:
         """Raises Unknown."""
-        for door in () if self.place_map.plan is None else self.place_map.plan.doors:
+        for door in self.doors:
             if door.id == door_id:
                 return door
         raise Unknown(f"the active map has no door {shown(door_id)}; GET /floorplan lists them")

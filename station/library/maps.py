@@ -233,17 +233,23 @@ class Maps:
         map_id = self.active.require_first().place_map.id
         return changes_of(await asyncio.to_thread(self._store.history, map_id))
 
-    async def undo(self, version: int | None) -> PlacesChange:
+    async def undo(self, version: int | None, of_map: str | None = None) -> PlacesChange:
         """Take back the newest change of places or rooms; `version`: only if it is that one. Returns the change.
+
+        `of_map`: only if that map is in use: another one's change may have the same version.
 
         The map keeps its name, and what was suggested meanwhile: these are no changes of its places.
 
         Raises:
-            Conflict: no map is active, there is nothing to take back, or `version` is not the newest change.
+            Conflict: no map is active, another one is, there is nothing to take back, or `version` is not the newest
+                change.
         """
         async with self._changing:
             before = self.active.require_first().place_map
             map_id = before.id
+            if of_map is not None and of_map != map_id:
+                why = f"the change is of {shown(of_map)}, and {before.name} ({map_id}) is in use"
+                raise Conflict(f"{why}; use that map to take it back")
             history = await asyncio.to_thread(self._store.history, map_id)
             changes = changes_of(history)
             if not changes:

@@ -13,7 +13,8 @@ from station.maps.record import MapRecord, same_places
 class PlacesChange:
     """A place was renamed, hidden or shown, or places were merged."""
 
-    version: int  # of the map, after the change
+    map_id: str
+    version: int  # of that map, after the change; each map counts its own
     previous: int  # the version that it changed
     why: str  # for a person
     changed_wall_s: float
@@ -37,7 +38,8 @@ def changes_of(history: Sequence[MapRecord]) -> tuple[PlacesChange, ...]:
         if before is None:
             break  # it cannot be read any more, so nothing leads back to it
         if not same_places(before, record):  # else the map was renamed, or names were suggested
-            changes.append(PlacesChange(record.number, before.number, record.why, record.created_ms / 1e3))
+            changed_s = record.created_ms / 1e3
+            changes.append(PlacesChange(record.map_id, record.number, before.number, record.why, changed_s))
         record = by_number.get(before.content)
     return tuple(changes)
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator
+import logging
+from collections.abc import AsyncGenerator, Iterator
 from pathlib import Path
 
 from shared.mcap_recording import RecordedPicture, recorded_pictures
+
+logger = logging.getLogger(__name__)
 
 MAX_SILENCE_S = 0.5  # on a disk too slow for the pace, a picture is shown at least so often
 MAX_PAUSE_S = 2.0  # a gap in the recording is not waited for longer
@@ -15,11 +18,11 @@ MAX_PAUSE_S = 2.0  # a gap in the recording is not waited for longer
 async def replay(path: Path, from_s: float = 0.0, speed: float = 1.0) -> AsyncGenerator[RecordedPicture, None]:
     """Pictures of a recording from `from_s` after its first one, `speed` times as fast as they were taken.
 
-    A slow consumer skips to the newest picture that is due.
+    A slow consumer skips to the newest picture that is due. What is not the picture that was announced is left out.
     Raises DataError when the file cannot be read.
     """
     loop = asyncio.get_running_loop()
-    pictures = recorded_pictures(path)
+    pictures = _shown(path)
     begun_s, begun_ns, shown_s = 0.0, 0, 0.0
     current = await asyncio.to_thread(next, pictures, None)
     while current is not None:
@@ -41,3 +44,14 @@ async def replay(path: Path, from_s: float = 0.0, speed: float = 1.0) -> AsyncGe
                 yield current
                 shown_s = loop.time()
         current = following
+
+
+def _shown(path: Path) -> Iterator[RecordedPicture]:
+    """What may be shown: an earlier station recorded whatever came."""
+    said = False
+    for picture in recorded_pictures(path):
+        if not picture.why_unusable:
+            yield picture
+        elif not said:
+            said = True
+            logger.warning("%s: picture %d %s; such ones are not shown", path, picture.number, picture.why_unusable)

@@ -75,11 +75,14 @@ class Driving:
         now_ns: Callable[[], int] = time.monotonic_ns,
         on_command: Callable[[str, float, float, int], None] = lambda *_: None,
         must_stand: Callable[[], str] = lambda: "",
+        other_station: Callable[[], str | None] = lambda: None,
     ) -> None:
         """`on_command` gets what was sent to the robot: driver, m/s, rad/s, ms to live.
 
-        `must_stand` says why the robot may not move, in a sentence; empty when it may.
+        `must_stand` says why the robot may not move, in a sentence; empty when it may. `other_station` names the one
+        that drives it, as the robot says: it would refuse our commands.
         """
+        self._other_station = other_station
         self._must_stand = must_stand
         self._on_command = on_command
         self._link = link
@@ -98,6 +101,10 @@ class Driving:
     @property
     def driver(self) -> str | None:
         return self._lease.driver(self._now_ns())
+
+    def has_wheel(self, driver: str) -> bool:
+        """This driver has it here, and the robot has not said that another station drives it."""
+        return self.driver == driver and self._other_station() is None
 
     @property
     def lease_left_s(self) -> float:
@@ -131,8 +138,8 @@ class Driving:
             age_ms: how long ago the driver said it: what a slow network adds to its life is counted from then.
 
         Raises:
-            NoRobot, NotCapable, NotDriver, OutOfRange, Conflict (was stopped and holds on, or must stand): in words for
-                a person.
+            NoRobot, NotCapable, NotDriver (another one or another station drives), OutOfRange, Conflict (was stopped
+                and holds on, or must stand): in words for a person.
         """
         able = self._require_drive()
         _check("linear", linear, able.max_linear_m_s, "m/s")
@@ -142,6 +149,7 @@ class Driving:
         is_still = linear == 0.0 and angular == 0.0
         if not is_still and (reason := self._must_stand()):
             raise Conflict(reason)
+        self._require_robot_for_us()
         verdict = self._lease.command(_named(driver), is_still, self._now_ns(), ttl_ms * 1_000_000)
         self._require_wheel(verdict != "taken")
         if verdict == "stopped":
@@ -184,6 +192,7 @@ class Driving:
             raise NotCapable("this robot has no pan-tilt head")
         _check("pan", pan, math.pi, "rad")
         _check("tilt", tilt, math.pi, "rad")
+        self._require_robot_for_us()
         self._require_wheel(self._lease.claim(_named(driver), self._now_ns()))
         if not self._link.point(pan, tilt):
             raise NoRobot("the robot is not connected just now; the link comes back by itself")
@@ -258,6 +267,10 @@ class Driving:
         if not able.drive:
             raise NotCapable("this robot cannot drive (a recorded one only replays)")
         return able
+
+    def _require_robot_for_us(self) -> None:
+        if (other := self._other_station()) is not None:
+            raise NotDriver(f"another station ({other}) drives this robot; wait until it has let go for a second")
 
     def _require_wheel(self, is_ours: bool) -> None:
         """After a claim. Raises NotDriver."""

@@ -50,7 +50,7 @@ from station.robots.link_clock import LinkClock
 from station.robots.link_commands import DueMessages, LinkCommands
 from station.robots.link_events import LinkListener
 from station.robots.link_state import Arrivals, Hearing, LinkState, RateMeter
-from station.robots.network import NetworkState, RecentDelays
+from station.robots.network import NetworkState, OwnPauses, RecentDelays
 from station.robots.search import Find, FoundRobot, RobotSearch
 
 logger = logging.getLogger(__name__)
@@ -106,6 +106,7 @@ class RobotLink:
         self._clock = LinkClock()
         self._rates = RateMeter()
         self._delays = RecentDelays()
+        self._pauses = OwnPauses()
         self._arrived = Arrivals()
         self._hearing = Hearing()
         self._connections = 0
@@ -148,7 +149,8 @@ class RobotLink:
         is_quiet = self._session.state is State.QUIET
         is_same_machine = self._connection is not None and self._connection.is_loopback
         state = self._delays.state(frame_rate_hz, is_quiet, is_same_machine)
-        if state.grade in ("slow", "bad") and self._datagrams is not None and self._datagrams.is_blocked:
+        is_slow = state.grade in ("slow", "bad") and not state.computer_busy
+        if is_slow and self._datagrams is not None and self._datagrams.is_blocked:
             return replace(state, sentence=f"{state.sentence}; {self._datagrams.why_blocked}")
         return state
 
@@ -218,7 +220,7 @@ class RobotLink:
         self._session = Session("station", self._now_ns(), join_within_ns=GREETED_WITHIN_NS)
         self._due.clear()
         self._arrived.begin_connection()
-        self._delays = RecentDelays()
+        self._delays, self._pauses = RecentDelays(), OwnPauses()
         self._silence.clear()
         self.commands.restart_count()
         # No task group: of an end and a cancellation in the same moment it reports the end only (until Python 3.13).
@@ -290,6 +292,7 @@ class RobotLink:
         session = self._session
         while True:
             now_ns = self._now_ns()
+            self._pauses.note(now_ns)
             for duty in session.tick(now_ns):
                 if duty is Tick.SEND_HEARTBEAT:
                     self.commands.beat()
@@ -306,6 +309,7 @@ class RobotLink:
             if self._is_unheard(now_ns):
                 self._silence.set()
             self._rates.sample(now_ns, self._arrived.frames, self._arrived.imu_samples, self._num_bytes)
+            self._pauses.expect(self._now_ns() + round(TICK_S * 1e9))
             await asyncio.sleep(TICK_S)
 
     async def _look_for_another_way(self) -> None:
@@ -348,8 +352,8 @@ class RobotLink:
             case HeartbeatReply():
                 self._hearing.note_answer(now_ns)
                 self._clock.add_reply(message, now_ns)
-                if self._clock.rtt_ns is not None:
-                    self._delays.add_round_trip(self._clock.rtt_ns)
+                if (trip_ns := self._clock.rtt_ns) is not None:
+                    self._delays.add_round_trip(trip_ns, self._pauses.within_ns(now_ns - trip_ns, now_ns))
                 if message.took_stop:
                     self.commands.receive_beat(message.seq)
             case Status():
@@ -408,7 +412,7 @@ class RobotLink:
             return
         self._confirm()
         if (taken_ns := self._clock.to_station_ns(frame.t_robot_ns)) is not None:
-            self._delays.add_picture(now_ns - taken_ns)
+            self._delays.add_picture(now_ns - taken_ns, self._pauses.within_ns(taken_ns, now_ns))
         self._listener.on_frame(frame, now_ns)
 
     def _confirm(self) -> None:

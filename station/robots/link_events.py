@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 from shared.messages import CameraFrame, Depth, DriveApplied, ErrorNotice, Hello, ImuBatch, Status
+from shared.pictures import why_not_as_announced
 from station.model.frames import DriveSample
 
 
@@ -114,3 +116,18 @@ class LinkListeners:
     def on_notice(self, notice: ErrorNotice) -> None:
         for listener in self.listeners:
             listener.on_notice(notice)
+
+
+class CheckedPictures(LinkListeners):
+    """Hands on everything but pictures that are not what the robot announces with them."""
+
+    def __init__(self, on_refused: Callable[[str], None], *listeners: LinkListener) -> None:
+        """`on_refused` gets what is wrong with a picture, to go on a sentence that begins with its name."""
+        super().__init__(*listeners)
+        self._on_refused = on_refused
+
+    def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
+        if why := why_not_as_announced(frame.jpeg, frame.width, frame.height):
+            self._on_refused(why)
+        else:
+            super().on_frame(frame, t_station_ns)

@@ -7,13 +7,13 @@ carries messages.
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from shared.calibration import Calibration
 from shared.messages import CameraFrame, Capabilities, DriveApplied, ErrorNotice, Hello, Status
-from shared.pictures import picture_size
 from shared.repetition import Repetition
 from station.access.paired_robots import PairedRobots
 from station.calibration.guidance import GuidedKind
@@ -33,7 +33,7 @@ from station.robots.current_place import CurrentPlace
 from station.robots.driving import Driving
 from station.robots.guided_calibration import CalibrationSession, GuidedCalibration
 from station.robots.link import RobotLink
-from station.robots.link_events import IgnoringListener, LinkListeners
+from station.robots.link_events import CheckedPictures, IgnoringListener
 from station.robots.link_state import LinkState
 from station.robots.navigation_files import NavigationRecorder
 from station.workers.calibration_interface import PrintedBoard
@@ -44,6 +44,7 @@ from station.workers.scheduling import ComputeSlots
 MAX_STOP_LINES = 8
 STOP_CONFIRMED_WITHIN_S = 0.15  # whoever pressed STOP hears within 0.2 s what became of it
 MAX_WARNINGS = 20  # different ones of one robot in a minute
+STATUS_HOLDS_NS = 2_000_000_000  # the robot tells it once a second; one that was lost must keep nobody from driving
 HIJACK_NOTICE = "the simulated robot is picked up to be put down elsewhere"
 
 
@@ -70,20 +71,6 @@ class Shared:
     slots: ComputeSlots  # of the localisation workers of all robots
 
 
-def _why_not_shown(frame: CameraFrame) -> str:
-    """Why no page gets a picture: a browser takes memory for what the JPEG itself says, up to 65,535 x 65,535 pixels.
-
-    Goes on a sentence; empty: it gets it.
-    """
-    try:
-        width, height = picture_size(frame.jpeg)
-    except ValueError as exc:
-        return str(exc)
-    if (width, height) != (frame.width, frame.height):
-        return f"is {width}x{height} pixels, announced were {frame.width}x{frame.height}"
-    return ""
-
-
 class RobotSession(IgnoringListener):
     """One robot: what runs for it, and what a person can ask of it."""
 
@@ -103,6 +90,7 @@ class RobotSession(IgnoringListener):
         self._hijacking = asyncio.Lock()
         self._calibrating = asyncio.Lock()
         self.applied: DriveApplied | None = None
+        self._status: tuple[Status, int] | None = None  # the newest of this connection, and when it came
         self.current_place = CurrentPlace(
             shared.store,
             config.localization,
@@ -126,7 +114,7 @@ class RobotSession(IgnoringListener):
         events.on_line = self.current_navigation.on_log
         self.ahead = AheadWatch(events)
         parts = (self.current_navigation, self.current_place, self.guided_calibration, self.ahead)
-        listeners = LinkListeners(*parts, self)
+        listeners = CheckedPictures(self._refuse_picture, *parts, self)
         self.link = RobotLink(robot.host, robot.port, listeners, station_name=config.name, robots=shared.paired)
         self.link.commands.must_stand = lambda: self.must_stand != ""
         self.driving = Driving(
@@ -137,6 +125,7 @@ class RobotSession(IgnoringListener):
             on_silence=lambda text: events.notify("drive", text, "warning"),
             on_command=self.current_navigation.on_command,
             must_stand=lambda: self.must_stand,
+            other_station=lambda: self.other_station,
         )
 
     async def run(self) -> None:
@@ -193,6 +182,15 @@ class RobotSession(IgnoringListener):
         if self.active_maps.first is None or self._knows_camera:
             return ""
         return "the camera looks aside; the place is looked for again when it looks straight ahead (pan 0, tilt 0)"
+
+    @property
+    def other_station(self) -> str | None:
+        """The other station that drives the robot, as it said lately; it refuses our commands then."""
+        if self._status is None:
+            return None
+        status, t_station_ns = self._status
+        is_old = time.monotonic_ns() - t_station_ns > STATUS_HOLDS_NS
+        return None if status.you_drive or is_old else status.driver
 
     @property
     def must_stand(self) -> str:
@@ -341,13 +339,11 @@ class RobotSession(IgnoringListener):
         self.events.changed("robot")
 
     def on_disconnected(self, reason: str) -> None:
+        self._status = None
         self.events.notify("link", f"robot lost: {reason}", "warning")
         self.events.changed("robot")
 
     def on_frame(self, frame: CameraFrame, t_station_ns: int) -> None:
-        if why := _why_not_shown(frame):
-            self._warn("camera", f"the robot's picture {why}; it is not shown", "picture")
-            return
         captured = self.link.to_station_ns(frame.t_robot_ns)
         # The clocks of robot and station are known to a millisecond or so; no picture comes before it was taken.
         self.camera.put(SeenFrame(frame, t_station_ns, None if captured is None else min(captured, t_station_ns)))
@@ -358,7 +354,8 @@ class RobotSession(IgnoringListener):
     def on_drive_applied(self, applied: DriveApplied) -> None:
         self.applied = applied
 
-    def on_status(self, status: Status) -> None:  # noqa: ARG002
+    def on_status(self, status: Status) -> None:
+        self._status = (status, time.monotonic_ns())
         self.events.changed("robot")
 
     def on_notice(self, notice: ErrorNotice) -> None:
@@ -371,6 +368,9 @@ class RobotSession(IgnoringListener):
         """A robot may say the same many times a second, or ever other things: the log keeps room for other lines."""
         if (line := self._warnings.news(text, key)) is not None:
             self.events.notify(topic, line, "warning")
+
+    def _refuse_picture(self, why: str) -> None:
+        self._warn("camera", f"the robot's picture {why}; it is neither shown, recorded nor computed with", "picture")
 
     def _receive_fit(self, hello: Hello, fit: CalibrationFit) -> None:
         """What SLAM says of the calibration in this hello; pages are told when it means something else than before."""

@@ -5,10 +5,12 @@ from __future__ import annotations
 import asyncio
 import json
 import re
+from dataclasses import replace
 
 import pytest
 from playwright.async_api import Page, Route, WebSocketRoute, expect
 
+from station.maps.store import MapStore
 from station.model.place_map import PlaceMap
 from station.places.rooms.edits import require_plan
 from tests.e2e.conftest import Room
@@ -201,3 +203,20 @@ async def test_of_two_rooms_that_look_alike_both_are_named_each_with_its_probabi
     await expect(page.locator("#place-at")).to_have_text("52 % or 46 %")
     await expect(page.locator("#place-kicker")).to_have_text("One of two rooms")
     await expect(page.locator("#place-probability")).to_have_text("")
+
+
+async def test_undo_takes_back_nothing_of_another_map_that_is_in_use_by_then(room: Room) -> None:
+    """Each map counts its own versions: that change has the same."""
+    split, page = await open_split(room)
+    other = replace(split, id=f"{split.id}-2")
+    MapStore(room.desk.station.config.data_dir / "maps").save(other)
+    await page.locator(".plan-door").first.press("Enter")
+    await page.locator("#toast").get_by_role("button", name="Erase").click()
+    undo = page.locator("#toast").get_by_role("button", name="Undo")
+    await expect(undo).to_be_visible()
+    await room.desk.http.put("/maps/active", json={"id": other.id})
+    await room.desk.http.patch(f"/rooms/{require_plan(other).rooms[0].id}", json={"name": HALL})
+    await expect(page.locator("#undo-text")).to_contain_text(f"is {HALL} now")
+    await undo.click()
+    await expect(page.locator("#toast")).to_contain_text("of another map")
+    assert (await room.desk.http.get("/rooms")).json()[0]["name"] == HALL

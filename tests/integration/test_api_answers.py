@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -135,6 +136,27 @@ async def test_undoing_a_change_of_places_leaves_the_maps_name(tmp_path: Path) -
             assert [m["name"] for m in (await desk.http.get("/maps")).json()] == ["Upstairs"]
         assert is_problem(await desk.http.post("/places/undo"), 409)
     assert MapStore(tmp_path / "maps").load(place_map.id).name == "Upstairs"
+
+
+async def test_an_undo_belongs_to_the_map_that_was_changed(tmp_path: Path) -> None:
+    """Of two maps the newest change may have the same version."""
+    one = store_map(tmp_path)
+    other = replace(one, id=f"{one.id}-2")
+    MapStore(tmp_path / "maps").save(other)
+    made = []
+    async with running_station(1, tmp_path) as desk:
+        for place_map in (one, other):
+            await desk.http.put("/maps/active", json={"id": place_map.id})
+            await desk.http.patch(f"/places/{place_map.places[0].id}", json={"name": "Kitchen"})
+            made += (await desk.http.get("/places/changes")).json()
+        assert [change["map"] for change in made] == [one.id, other.id]
+        assert made[0]["version"] == made[1]["version"]
+        order = {"version": made[0]["version"], "map": one.id}
+        refused = await desk.http.post("/places/undo", json=order)
+        assert is_problem(refused, 409) and f"the change is of '{one.id}'" in refused.json()["detail"]
+        assert (await desk.http.get("/places/changes")).json() == made[1:]
+        await desk.http.put("/maps/active", json={"id": one.id})
+        assert (await desk.http.post("/places/undo", json=order)).json() == made[0]
 
 
 async def test_every_edit_answers_its_version_for_an_undo_of_just_that(tmp_path: Path) -> None:

@@ -95,7 +95,9 @@ def test_results_lie_beside_the_navigation_unless_told_otherwise(recorded: Path,
     save_navigation(load_navigation(recorded / "nav"), here / "mine")
     first = run("mine", recorded / "images")
     assert "ATE " in first.stdout and "written to mine-evaluation" in first.stdout
-    assert run("mine", recorded / "images").stdout == first.stdout  # an earlier run's results are replaced
+    again = run("mine", recorded / "images")
+    assert again.stdout == first.stdout and first.stderr == ""
+    assert again.stderr == "station: the result that mine-evaluation held from before is replaced\n"
     assert {path.name for path in (here / "mine-evaluation").iterdir()} == FILES
     assert {path.name for path in here.iterdir()} == {"mine", "mine-evaluation"}
     assert default_folder(".") == Path.cwd().with_name(f"{Path.cwd().name}-evaluation")

@@ -12,6 +12,7 @@ from robot.devices.ports import CapturedFrame, ImuReading
 from shared.errors import DeviceLost, LocalProtocolError
 from shared.messages import MAX_DRIVE_TTL_MS, CameraFrame, Capabilities, ErrorNotice, ImuBatch, Status
 from shared.prompt_sending import UNSENT_BYTES, UNSENT_COMMAND_BYTES
+from station.access.connecting import Connection
 from station.robots.link import RobotLink
 from tests.support.link import Bench, Notes, Proxy, linked, running_robot, until
 
@@ -103,6 +104,19 @@ async def test_on_one_machine_the_computer_is_busy_and_no_network_is_bad() -> No
         bench.camera.put(t_robot_ns=0)  # long ago
         await until(lambda: link.state.network.picture_age_ms is not None)
         assert link.state.network.sentence.startswith("this computer is too busy: ")
+
+
+async def test_no_network_is_blamed_while_the_station_does_not_get_to_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Connection, "is_loopback", property(lambda _: False))
+    async with running_robot() as bench, linked(bench.port) as (link, _):
+
+        def is_late() -> bool:
+            time.sleep(0.2)  # as where other programs take the processor
+            return link.state.network.grade in ("slow", "bad")
+
+        await until(is_late)
+        assert link.state.network.computer_busy
+        assert link.state.network.sentence.startswith("the station's computer is ")
 
 
 async def test_the_robots_clock_is_known_soon() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tests.support.made_up_workers import BehindAWall, OneOfTwoRooms
+from tests.support.made_up_workers import BehindAWall, InADoorway, OneOfTwoRooms
 from tests.support.station import DRAWN, store_map, store_planned_map, store_split_map
 from tests.support.station_at_work import at_work, is_problem, wait_for
 
@@ -65,6 +65,22 @@ async def test_an_answer_and_a_visit_say_that_a_place_is_of_another_room_than_th
         visit = (await desk.http.get("/place/timeline")).json()[-1]
         for said in (answer, visit):
             assert (said["place_room"], said["room"]["id"], said["place_elsewhere"]) == ("room-l", "room-k", True)
+
+
+async def test_in_a_doorway_both_rooms_are_told_and_no_door_that_was_erased_meanwhile(tmp_path: Path) -> None:
+    planned = store_split_map(tmp_path)
+    async with at_work(tmp_path, place_program=InADoorway) as (desk, _, film):
+        http = desk.http
+        await http.put("/maps/active", json={"id": planned.id})
+        answer = await wait_for(desk, "/place/current", lambda a: a["doorway"])
+        first, second = (await http.get("/rooms")).json()
+        assert (answer["room"]["id"], answer["room_alternatives"][0]["id"]) == (first["id"], second["id"])
+        [door] = (await http.get("/floorplan")).json()["doors"]
+        assert answer["doorway"] == door["id"]
+        film.pause()  # the answer stays the one of before
+        await http.delete(f"/doors/{door['id']}")
+        after = (await http.get("/place/current")).json()
+        assert (after["doorway"], after["room_alternatives"]) == (None, [])
 
 
 async def test_of_two_rooms_that_look_alike_both_are_told_and_none_is_named(tmp_path: Path) -> None:

@@ -124,6 +124,32 @@ async def test_one_driver_at_a_time_until_taken_over_or_silent(tmp_path: Path) -
         assert (await desk.http.post("/drive", json=order, headers=anna)).status_code == 200
 
 
+async def test_nobody_is_told_to_drive_while_the_robot_says_that_another_station_does(tmp_path: Path) -> None:
+    order, anna = {"linear": 0.1, "angular": 0.0, "ttl_ms": 1000}, {"X-Driver": "anna"}
+    async with at_work(tmp_path) as (desk, bench, _film), linked(bench.port, "attic") as (other, _):
+
+        async def hold() -> None:
+            while True:
+                other.commands.drive(0.1, 0.0, 250)
+                await asyncio.sleep(0.05)
+
+        holding = asyncio.create_task(hold())
+        await wait_for(desk, "/robot", lambda robot: robot["robot_driver"] == "attic")
+        refused = await desk.http.post("/drive", json=order, headers=anna)
+        assert is_problem(refused, 409) and "another station (attic) drives" in refused.json()["detail"]
+        assert is_problem(await desk.http.post("/pan-tilt", json={"pan": 0.1, "tilt": 0}, headers=anna), 409)
+        assert (await desk.http.get("/robot")).json()["driver"] is None
+        async with websockets.connect(desk.socket("/ws/drive?driver=anna")) as wheel:
+            await wheel.send('{"type": "take_over"}')  # of this station, against nobody
+            replies = (json.loads(text) async for text in wheel)
+            wheels = (reply["you_drive"] async for reply in replies if reply.get("driver") == "anna")
+            assert await anext(wheels) is False
+            holding.cancel()
+            assert await anext(wheels) is True
+        await wait_for(desk, "/robot", lambda robot: robot["robot_driver"] is None)
+        assert (await desk.http.post("/drive", json=order, headers=anna)).json()["you_drive"]
+
+
 async def test_a_drivers_name_forges_no_line_and_moves_no_terminal(tmp_path: Path) -> None:
     async with at_work(tmp_path) as (desk, _, _film):
         name = "ben\nstation: ERROR: forged\x1b[31m\x9b2J\u202e"

@@ -206,6 +206,20 @@ class BehindAWall(PlaceByLight):
         return replace(report, answer=replace(report.answer, place=place, room=RoomCandidate(here.id, here.name, 0.95)))
 
 
+class InADoorway(PlaceByLight):
+    """In the doorway between the first two rooms, at the place of the second."""
+
+    def answer(self, frame: ImageFrame) -> PlaceReport:
+        report = super().answer(frame)
+        plan = require_plan(self._maps[0])
+        first, second = (RoomCandidate(room.id, room.name, 0.95) for room in plan.rooms[:2])
+        doorway = next(door.id for door in plan.doors if None not in door.rooms)
+        return replace(
+            report,
+            answer=replace(report.answer, room=first, room_alternatives=(second,), doorway=doorway),
+        )
+
+
 def made_up_navigation() -> Navigation:
     home = furnished_room(3)
     return navigate(home, drive(home, 3), 3)

@@ -169,7 +169,8 @@ class PlaceMerge(Question):
 class PlacesChangeModel(Model):
     """What a person made of places or rooms: renamed, hidden, merged, doors drawn and erased."""
 
-    version: int = Field(description="of the map, that the change led to", examples=[4])
+    map: str = Field(description="id of the map that was changed", examples=["map-0a1b"])
+    version: int = Field(description="of that map, that the change led to", examples=[4])
     why: str = Field(examples=["Kitchen and Place 3 are one"])
     unix_s: float
 
@@ -183,6 +184,12 @@ class UndoOrder(Question):
         le=2**53,
         description="only if this is the newest change; null: whatever it is",
         examples=[4],
+    )
+    map: str | None = Field(
+        default=None,
+        max_length=200,
+        description="only if this map is in use; null: whichever is",
+        examples=["map-0a1b"],
     )
 
 
@@ -260,6 +267,9 @@ def current_place(robot: RobotSession) -> CurrentPlace:
     room = next(rooms_now(answer.room), None)
     is_metric = active.place_map.navigation.is_metric
     two = list(rooms_now(*answer.one_of_two))
+    others = list(rooms_now(*answer.room_alternatives))
+    both = {one.id for one in (room, *others[:1]) if one is not None}
+    doors = {door.id for one in robot.active_maps.all for door in one.doors if both == set(door.rooms)}
     evidence_ns, keyframe = answer.evidence_t_robot_ns, answer.evidence_keyframe
     has_query = evidence_ns is not None and robot.current_place.query_image(evidence_ns) is not None
     return CurrentPlace(
@@ -281,9 +291,9 @@ def current_place(robot: RobotSession) -> CurrentPlace:
             for place, one in [known[c.id]]
         ],
         room=room,
-        room_alternatives=list(rooms_now(*answer.room_alternatives)),
+        room_alternatives=others,
         one_of_two=two if len(two) == 2 else [],  # not where they were made one meanwhile
-        doorway=answer.doorway,
+        doorway=answer.doorway if answer.doorway in doors else None,  # not of a door that was erased meanwhile
         evidence=Evidence(
             query_image=f"{robot.path}/place/current/images/{evidence_ns}.jpg" if has_query else None,
             map_image=None if keyframe is None else f"/maps/{map_id}/images/{keyframe}.jpg",

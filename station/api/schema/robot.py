@@ -51,6 +51,7 @@ class NetworkModel(Model):
     sentence: str = Field(description="for a person")
     round_trip_ms: float | None = Field(description="of nine in ten heartbeats at most")
     picture_age_ms: float | None = Field(description="of nine in ten pictures at most, on arrival at the station")
+    computer_busy: bool = Field(description="what is late is so by the station's computer, not by the network")
 
 
 class BatteryModel(Model):
@@ -161,8 +162,8 @@ class StopModel(Model):
 
 
 class DriverModel(Model):
-    driver: str | None
-    you_drive: bool
+    driver: str | None = Field(description="who drives through this station")
+    you_drive: bool = Field(description="that is you, and the robot has not said that another station drives it")
     keeps_s: float = Field(description="so long the driver keeps the wheel without another word", examples=[6.0])
 
 

@@ -9,13 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.geometry import FloatArray, IntArray
-from station.places.rooms.lengths import WALL_M
+from station.places.rooms.lengths import THICK_M, WALL_M
 from station.places.rooms.rectangles import Rectangle
 from station.places.rooms.sides import DOOR_PIECES, LEAST_ODDS, PASSAGE_PIECES, Sides, gaps_of, passage_costs
 from station.places.rooms.surfaces import LINE_M, PIECE_M, SIDES, Side, Surfaces
 from station.places.rooms.wall_model import WallModel
 
-THICK_M = 0.35  # a wall at most, and errors of both its faces
 LEAST_DOOR_M = 0.45  # no robot passes a narrower gap
 
 

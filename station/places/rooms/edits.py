@@ -15,6 +15,7 @@ from shared.geometry import FloatArray
 from shared.text import look_of
 from station.model.floor_plan import MAX_EDITS, NO_ROOM, Door, FloorPlan, PlanEdits, Room
 from station.model.place_map import PlaceMap
+from station.places.rooms.lengths import THICK_M
 from station.places.rooms.planning import planned, with_plan
 
 MIN_LINE_M = 0.2  # a shorter one is a click that slipped
@@ -92,19 +93,39 @@ def with_room_split(place_map: PlaceMap, line: FloatArray) -> PlaceMap:
 
 def why_useless(plan: FloorPlan, line: FloatArray) -> str | None:
     """Why no room of a plan falls apart along a line (2, 2), for a person; None: one does."""
-    from station.places.rooms.segments import line_cells, parted_along  # SciPy, as in planning.py
+    from station.places.rooms.segments import DRAWN_M, line_cells, parted_along  # SciPy, as in planning.py
 
     cells = line_cells(line, plan.low, plan.cell, plan.unit, plan.room.shape)
     labels = plan.room.astype(np.int32) - NO_ROOM  # 0: no room
+    parted = parted_along(labels, [cells])
+    # What lies no farther beside the line than a wall is thick is no room: a door that was drawn twice cuts such off.
+    near = line_cells(line, plan.low, plan.cell, plan.unit, plan.room.shape, 2 * THICK_M + DRAWN_M)
+    was_cut = np.unique(labels[cells])
+    rooms = [part for part in np.unique(parted[np.isin(labels, was_cut) & ~near & ~cells]) if part]
+    if len(rooms) > np.count_nonzero(was_cut):
+        return None
+    if (door := _door_at(plan, line)) is not None:
+        named = [room.name for room in plan.rooms if room.id in door.rooms]
+        what = f"between {' and '.join(named)}" if len(named) == 2 else f"out of {named[0]}"
+        return f"there is a door already, {what}; erase it first if it stands wrong"
     if not (labels[cells] > 0).any():
         return "the line parts no room, it lies outside of all of them; draw it right across one, from wall to wall"
-    if parted_along(labels, [cells]).max() > labels.max():
-        return None
     for xy in line:
         if (room_id := room_id_at(plan, xy)) is not None:
             [name] = [room.name for room in plan.rooms if room.id == room_id]
             return f"the line parts no room, it ends inside of {name}; draw it right across, from wall to wall"
     return "the line parts no room; draw it right across one, from wall to wall"
+
+
+def _door_at(plan: FloorPlan, line: FloatArray) -> Door | None:
+    """The door along which a line (2, 2) runs: the shorter one ends within a wall's thickness of the other."""
+    from station.places.space.space import distance_to
+
+    for door in plan.doors:
+        short, long = sorted((door.ends, line), key=lambda ends: float(np.linalg.norm(ends[1] - ends[0])))
+        if distance_to(long, short).max() <= THICK_M * plan.unit:
+            return door
+    return None
 
 
 def with_door_erased(place_map: PlaceMap, door_id: str) -> PlaceMap:

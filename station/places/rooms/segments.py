@@ -223,10 +223,12 @@ def _exit_gate(labels: Labels, ground: Ground, exit: Exit) -> Gate | None:
     return Gate(label, 0, ends) if label else None
 
 
-def line_cells(line: FloatArray, low: FloatArray, cell: float, unit: float, shape: tuple[int, ...]) -> Cells:
-    """Cells within half of DRAWN_M of a line (2, 2)."""
+def line_cells(
+    line: FloatArray, low: FloatArray, cell: float, unit: float, shape: tuple[int, ...], wide_m: float = DRAWN_M
+) -> Cells:
+    """Cells within half of `wide_m` of a line (2, 2)."""
     x, y = (low[k] + (np.arange(shape[k]) + 0.5) * cell for k in range(2))
-    return np.asarray(distance_to(line, np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)) <= 0.5 * DRAWN_M * unit)
+    return np.asarray(distance_to(line, np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)) <= 0.5 * wide_m * unit)
 
 
 def _is_same(ends: FloatArray, line: FloatArray) -> bool:

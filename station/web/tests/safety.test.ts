@@ -10,6 +10,7 @@ import {
   SlowestSecond,
   speedShare,
   whyNotDrive,
+  youDrive,
 } from "../src/drive/safety";
 
 const ALL_IS_WELL: Situation = {
@@ -157,6 +158,19 @@ void test("a slow network slows the robot: it goes no farther unseen than by sig
   assert.equal(speedShare(200, 50), 1);
   assert.equal(speedShare(400, 100), 0.5);
   for (const late of [300, 400, 500]) assert.ok(speedShare(late, 0) * late <= 250);
+});
+
+void test("what slows the robot is named, and no network where it is the computer or the page", () => {
+  assert.equal(youDrive(0.95, null), "You drive");
+  assert.equal(youDrive(0.5, { grade: "bad", computer_busy: false }), "You drive, slowed to 50 %: the network is slow");
+  assert.equal(
+    youDrive(0.5, { grade: "bad", computer_busy: true }),
+    "You drive, slowed to 50 %: the station's computer is busy",
+  );
+  assert.equal(
+    youDrive(0.5, { grade: "good", computer_busy: false }),
+    "You drive, slowed to 50 %: pictures come late to this page",
+  );
 });
 
 void test("the slowest second counts, and is forgotten", () => {

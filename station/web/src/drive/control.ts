@@ -1,7 +1,7 @@
 // Hold to drive. Commands go out 20 times a second while something is held; anything doubtful stops and says why (safety.ts).
 import { call } from "../link/api";
 import { driverName } from "../link/driver_name";
-import type { CapabilitiesModel, RobotModel, StopModel } from "../link/messages";
+import type { CapabilitiesModel, NetworkModel, RobotModel, StopModel } from "../link/messages";
 import { by, show } from "../ui/dom";
 import { attempt } from "../ui/toast";
 import { dialogIsOpen, isList } from "./focus";
@@ -17,6 +17,7 @@ import {
   type Situation,
   SlowestSecond,
   speedShare,
+  youDrive,
 } from "./safety";
 import type { VideoView } from "./video";
 
@@ -31,8 +32,8 @@ export class DriveControl {
   private driver: string | null = null;
   private robot: CapabilitiesModel | null = null;
   private isConnected = false;
-  private roundTripMs = 0;
-  private share = 1; // of the wanted speed, as the network leaves it
+  private network: NetworkModel | null = null;
+  private share = 1; // of the wanted speed, as delays leave it
   private readonly pictureAges = new SlowestSecond();
 
   constructor(
@@ -69,7 +70,7 @@ export class DriveControl {
   show(robot: RobotModel): void {
     this.robot = robot.capabilities;
     this.isConnected = robot.connected;
-    this.roundTripMs = robot.network.round_trip_ms ?? 0;
+    this.network = robot.network;
     this.head.show(robot);
     this.panel.showAhead(robot.ahead);
     document.body.dataset.robot = robot.connected && robot.capabilities?.drive ? "drives" : "none";
@@ -80,7 +81,7 @@ export class DriveControl {
   showDriver(driver: string | null): void {
     this.driver = driver;
     const other = driver === driverName ? null : driver;
-    const free = driver === null ? invitation(this.situation()) : youDrive(this.share);
+    const free = driver === null ? invitation(this.situation()) : youDrive(this.share, this.network);
     this.panel.showDriver(other === null ? free : `${other} drives`, other);
     show(by("take-over"), other !== null && this.line !== null);
   }
@@ -88,7 +89,10 @@ export class DriveControl {
   private tick(): void {
     this.hands.readGamepad();
     const situation = this.situation();
-    this.share = speedShare(this.pictureAges.note(ageOf(situation), performance.now()), this.roundTripMs);
+    this.share = speedShare(
+      this.pictureAges.note(ageOf(situation), performance.now()),
+      this.network?.round_trip_ms ?? 0,
+    );
     if (this.driver === driverName) this.showDriver(this.driver);
     if (this.driver === null) this.panel.showInvitation(invitation(situation)); // pictures grow old without anybody telling
     this.guard.tick(situation);
@@ -142,8 +146,4 @@ export class DriveControl {
 /** Where no camera looks, or no picture has come, there is nothing late to drive by. */
 function ageOf(situation: Situation): number {
   return situation.robot?.camera && situation.pictureAgeMs < Infinity ? situation.pictureAgeMs : 0;
-}
-
-function youDrive(share: number): string {
-  return share < 0.9 ? `You drive, slowed to ${Math.round(share * 100)} %: the network is slow` : "You drive";
 }

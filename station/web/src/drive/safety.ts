@@ -1,6 +1,6 @@
 // When the page may drive, and when it must stop. Nothing here touches document, network or clock: the rules are read, and
 // tested, by themselves.
-import type { CapabilitiesModel } from "../link/messages";
+import type { CapabilitiesModel, NetworkModel } from "../link/messages";
 
 /** Where hands point: x right, y forward, both -1..1. */
 export type Direction = readonly [x: number, y: number];
@@ -50,6 +50,14 @@ export function whyNotDrive(s: Situation): string {
  */
 export function speedShare(pictureAgeMs: number, roundTripMs: number): number {
   return Math.min(1, SIGHT_MS / Math.max(1, pictureAgeMs + roundTripMs)); // clocks that jumped make an age negative
+}
+
+/** That whoever reads it drives, and what slows the robot where something does. */
+export function youDrive(share: number, network: Pick<NetworkModel, "grade" | "computer_busy"> | null): string {
+  if (share >= 0.9) return "You drive";
+  const isSlow = network?.grade === "slow" || network?.grade === "bad";
+  const way = isSlow ? "the network is slow" : "pictures come late to this page"; // they were in time at the station
+  return `You drive, slowed to ${Math.round(share * 100)} %: ${network?.computer_busy ? "the station's computer is busy" : way}`;
 }
 
 /** The largest of the values of the last second. */

@@ -373,7 +373,9 @@ export interface DriverMessage {
 }
 
 export interface DriverModel {
+  /** who drives through this station */
   driver: string | null;
+  /** that is you, and the robot has not said that another station drives it */
   you_drive: boolean;
   /** so long the driver keeps the wheel without another word */
   keeps_s: number;
@@ -695,6 +697,8 @@ export interface NetworkModel {
   round_trip_ms: number | null;
   /** of nine in ten pictures at most, on arrival at the station */
   picture_age_ms: number | null;
+  /** what is late is so by the station's computer, not by the network */
+  computer_busy: boolean;
 }
 
 /** What it shall be called. */
@@ -780,7 +784,9 @@ export interface PlaceProbability {
 
 /** What a person made of places or rooms: renamed, hidden, merged, doors drawn and erased. */
 export interface PlacesChangeModel {
-  /** of the map, that the change led to */
+  /** id of the map that was changed */
+  map: string;
+  /** of that map, that the change led to */
   version: number;
   why: string;
   unix_s: number;
@@ -1018,6 +1024,8 @@ export interface TrajectoryModel {
 export interface UndoOrder {
   /** only if this is the newest change; null: whatever it is */
   version: number | null;
+  /** only if this map is in use; null: whichever is */
+  map: string | null;
 }
 
 export interface UsedNoise {

@@ -1,6 +1,7 @@
 // What the 3D view can show, one at a time: each layer owns its objects and knows how much space they take up.
 import * as THREE from "three";
-import { type Cloud, dispose, extent, toPoints } from "./cloud";
+import { type Cloud, dispose, toPoints } from "./cloud";
+import { extent } from "./extent";
 
 export interface LayerEvents {
   /** Its objects take up more space. */

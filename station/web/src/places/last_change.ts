@@ -74,13 +74,15 @@ export class LastChange {
     if (this.isTakingBack) return false;
     this.isTakingBack = true;
     try {
-      await call("POST", "/places/undo", { version: change.version });
+      await call("POST", "/places/undo", { version: change.version, map: change.map });
       await this.list.ask();
       return true;
     } catch (error) {
       if (!(error instanceof ApiError) || error.status !== 409) throw error;
       await this.list.ask();
-      this.tellWhatCameBetween(change);
+      const isOfAnother = change.map !== this.map || this.changes.some((each) => each.map !== change.map);
+      if (isOfAnother) toast(`Not taken back: ${change.why}. That is of another map than the one in use now.`);
+      else this.tellWhatCameBetween(change);
       return false;
     } finally {
       this.isTakingBack = false;

@@ -2,7 +2,8 @@
 import * as THREE from "three";
 import { call } from "../link/api";
 import type { ComparisonModel, NavigationModel } from "../link/messages";
-import { extent, fetchCloud, toPoints } from "../map/cloud";
+import { fetchCloud, toPoints } from "../map/cloud";
+import { extent } from "../map/extent";
 import { toMatrix } from "../map/transform";
 import type { MapView } from "../map/view";
 import { by, setText, show } from "../ui/dom";

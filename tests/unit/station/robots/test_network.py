@@ -6,7 +6,7 @@ import pytest
 
 from shared.messages import MAX_DRIVE_TTL_MS, Capabilities, Drive
 from station.robots.link_commands import DueMessages, LinkCommands
-from station.robots.network import RecentDelays
+from station.robots.network import OwnPauses, RecentDelays
 
 MS = 1_000_000
 
@@ -82,6 +82,42 @@ def test_no_network_is_blamed_where_robot_and_station_are_one_machine(
     trip_ms: int, age_ms: int, rate_hz: float, words: str
 ) -> None:
     assert delays(trip_ms, age_ms).state(rate_hz, is_quiet=False, is_same_machine=True).sentence == words
+
+
+@pytest.mark.parametrize(
+    ("own_ms", "sentence", "is_busy"),
+    [
+        (
+            200,
+            "the station's computer is busy: 9 pictures a second, 300 ms old, 50 ms there and back; drive slowly",
+            True,
+        ),
+        (100, "slow network: 9 pictures a second, 300 ms old, 50 ms there and back; drive slowly", False),
+    ],
+)
+def test_the_computer_is_blamed_where_its_own_pauses_took_most_of_the_time(
+    own_ms: int, sentence: str, is_busy: bool
+) -> None:
+    found = RecentDelays()
+    for _ in range(20):
+        found.add_round_trip(50 * MS)
+        found.add_picture(300 * MS, own_ms * MS)
+    state = found.state(9.0, is_quiet=False)
+    assert (state.sentence, state.computer_busy) == (sentence, is_busy)
+
+
+def test_pauses_are_the_time_behind_what_was_due_also_before_their_end_is_noted() -> None:
+    pauses = OwnPauses()
+    pauses.expect(25)
+    assert pauses.within_ns(0, 20) == 0
+    assert pauses.within_ns(0, 125) == 100  # a picture that waited is read before the program notes that it is late
+    pauses.note(135)
+    assert pauses.within_ns(0, 200) == 110
+    assert pauses.within_ns(100, 200) == 35
+    assert pauses.within_ns(140, 200) == 0
+    pauses.expect(225)
+    pauses.note(225)
+    assert pauses.within_ns(140, 300) == 0
 
 
 def test_a_silent_robot_is_no_good_network_whatever_came_before() -> None:

@@ -1,4 +1,4 @@
-"""When the page may drive and when it must stop: station/web/src/drive/safety.ts in Node, without a browser."""
+"""When the page may drive and must stop, and where its view reaches: station/web/tests in Node, without a browser."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from shared.errors import DataError
-from station.model.floor_plan import FloorPlan
+from station.model.floor_plan import NO_ROOM, FloorPlan
 from station.model.place_map import PlaceMap
 from station.places.rooms import edits as edits_module
 from station.places.rooms.edits import (
@@ -132,6 +132,30 @@ def test_a_line_that_parts_no_room_is_refused_before_a_plan_is_made(
     R = require_plan(one_room).R_ground_map[:2, :2]
     with pytest.raises(DataError, match=words):
         with_room_split(one_room, np.array(line) @ R.T)
+
+
+@pytest.mark.parametrize("shift_m", [0.0, 0.1, 0.3])
+def test_a_door_is_not_drawn_twice(one_room: PlaceMap, shift_m: float) -> None:
+    """A hand does not meet the first line: what lies between both would be a room that nobody can be in."""
+    line = across(require_plan(one_room))
+    parted = with_room_split(one_room, line)
+    with pytest.raises(DataError, match="there is a door already, between Room 1 and Room 2"):
+        with_room_split(parted, line[::-1] + np.array([shift_m, 0.0]))
+    assert len(require_plan(with_room_split(parted, line + np.array([1.0, 0.0]))).rooms) == 3
+
+
+def test_a_strip_as_thin_as_a_wall_is_no_room(one_room: PlaceMap) -> None:
+    plan = require_plan(one_room)
+    x = plan.low[0] + plan.cell * np.flatnonzero((plan.room != NO_ROOM).any(axis=1)).min() + 0.2 * plan.unit
+    with pytest.raises(DataError, match="parts no room"):
+        with_room_split(one_room, np.array([[x, -9.0], [x, 9.0]]))
+
+
+def test_a_door_is_not_erased_twice(one_room: PlaceMap) -> None:
+    parted = with_room_split(one_room, across(require_plan(one_room)))
+    [door] = [door for door in require_plan(parted).doors if door.is_drawn]
+    with pytest.raises(DataError, match="has no door with id"):
+        with_door_erased(with_door_erased(parted, door.id), door.id)
 
 
 def test_a_door_is_drawn_in_a_plan_that_had_more_rooms_than_it_has_when_made_anew(one_room: PlaceMap) -> None:
