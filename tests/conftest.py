@@ -54,6 +54,12 @@ class Share:
         return None if self._is_ours[item.path] else True  # anything but None: this test is done with
 
 
+@pytest.fixture(scope="session")
+def textures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where simulated robots keep the textures of their flats: painting them takes a second of each start."""
+    return tmp_path_factory.mktemp("textures")
+
+
 @pytest.fixture
 def started_by_a_shell() -> Iterator[None]:
     """SIGHUP as a shell leaves it: where the tests run under `nohup`, the programs they start would outlive it."""
