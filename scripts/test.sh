@@ -34,8 +34,9 @@ fi
 
 # Five processes side by side, so that one computes while others wait. Whole robots go by the clock, and are judged by
 # how often they know their place in time: all else gives way to them, and what only computes to all. Browsers come after
-# them. Sockets are most of the tests and mostly wait: two halves; the unit tests of the station, the larger half of
-# them, come after the first. What those in the background say comes when the one that is seen has ended.
+# them. Sockets are most of the tests and mostly wait: two halves. Two processes compute, one after lint: each takes the
+# next file that the other has not begun, the longest first, so that neither core is left alone for long at the end.
+# What those in the background say comes when the one that is seen has ended.
 run=("${pytest[@]}" --durations=15)
 by_the_clock="not hardware and not computing"
 said=$(mktemp -d)
@@ -51,21 +52,24 @@ robots_then_browsers() {
   "$@" -m "$by_the_clock and not slow" tests/e2e || failed=$?
   return $failed
 }
-sockets_then_station() {
-  local failed=0
-  nice "$@" -m "$by_the_clock and not slow" tests/integration/test_[a-k]*.py || failed=$?
-  nice -n 19 "$@" -m "not hardware and computing" tests/unit/station || failed=$?
-  return $failed
+compute() {
+  exec nice -n 19 "${run[@]}" -m "not hardware and computing" --share "$said/begun" \
+    tests/golden tests/integration tests/e2e tests/property tests/unit "$@"
 }
-# Lint needs nothing that is installed here, and computes while that is fetched. Unit tests come after it: both would
-# install what checks the page.
-beside nice -n 19 bash -c 'scripts/lint.sh && until [ -e "$0/installed" ]; do sleep 1; done && exec "$@"' "$said" \
-  "${run[@]}" -m "not hardware and computing" tests/unit --ignore tests/unit/station
+lint_then_compute() {
+  nice -n 19 scripts/lint.sh
+  until [ -e "$said/installed" ]; do sleep 1; done
+  compute "$@"
+}
+# Lint needs nothing that is installed here, and computes while that is fetched. What checks the page, which it may install
+# for itself, is among the last that the tests ask for.
+mkdir "$said/begun"
+beside lint_then_compute
 install_missing
 touch "$said/installed"
 beside robots_then_browsers "${run[@]}"
-beside nice -n 19 "${run[@]}" -m "not hardware and computing" tests/golden tests/property tests/integration tests/e2e
-beside sockets_then_station "${run[@]}"
+beside compute
+beside nice "${run[@]}" -m "$by_the_clock and not slow" tests/integration/test_[a-k]*.py
 failed=0
 nice "${run[@]}" -m "$by_the_clock and not slow" tests/integration/test_[!a-k]*.py || failed=$?
 for i in "${!pids[@]}"; do

@@ -1,5 +1,6 @@
 """Settings for all tests."""
 
+import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +21,43 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.path.relative_to(Path(__file__).parent).parts[0] in COMPUTING:
             item.add_marker(pytest.mark.computing)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--share", type=Path, metavar="FOLDER", help="run no file that another process with it runs")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if folder := config.getoption("share"):
+        config.pluginmanager.register(Share(folder))
+
+
+class Share:
+    """Which files of tests are run here: those that no other process with the same folder was the first to come to."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._is_ours: dict[Path, bool] = {}
+
+    def _take(self, path: Path) -> bool:
+        name = "-".join(path.relative_to(Path(__file__).parent).parts)
+        try:
+            os.close(os.open(self._folder / name, os.O_CREAT | os.O_EXCL))
+        except FileExistsError:
+            return False
+        return True
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> bool | None:
+        if item.path not in self._is_ours:
+            self._is_ours[item.path] = self._take(item.path)
+        return None if self._is_ours[item.path] else True  # anything but None: this test is done with
+
+
+@pytest.fixture(scope="session")
+def textures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where simulated robots keep the textures of their flats: painting them takes a second of each start."""
+    return tmp_path_factory.mktemp("textures")
 
 
 @pytest.fixture

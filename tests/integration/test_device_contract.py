@@ -46,6 +46,7 @@ class Bench:
 
     folder: Path
     undo: ExitStack
+    drive: Path  # a recording, of whoever makes it first
     turning: Callable[[], bool] | None = None  # whether the motor pins turn anything; None: nobody can see it
 
 
@@ -97,9 +98,10 @@ def pi_real(_bench: Bench) -> DeviceSet:
 
 
 def recorded(bench: Bench) -> DeviceSet:
-    world, drive = make_world("room", 1), bench.folder / "drive"
-    record_drive(world, plan_route(world, "triangle_a"), SimulationConfig(), 0, drive, max_duration_s=2.0)
-    return open_recorded(drive, at_end="loop")
+    if not bench.drive.exists():
+        world = make_world("room", 1)
+        record_drive(world, plan_route(world, "triangle_a"), SimulationConfig(), 0, bench.drive, max_duration_s=2.0)
+    return open_recorded(bench.drive, at_end="loop")
 
 
 ADAPTERS: dict[str, Callable[[Bench], DeviceSet]] = {
@@ -113,10 +115,15 @@ ADAPTERS: dict[str, Callable[[Bench], DeviceSet]] = {
 PARAMETERS = [pytest.param(name, marks=[pytest.mark.hardware] if name == "pi" else []) for name in ADAPTERS]
 
 
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("recorded") / "drive"
+
+
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
+def bench(tmp_path: Path, drive: Path) -> Iterator[Bench]:
     with ExitStack() as undo:
-        yield Bench(tmp_path, undo)
+        yield Bench(tmp_path, undo, drive)
 
 
 @pytest_asyncio.fixture(params=PARAMETERS)
@@ -265,9 +272,9 @@ async def test_battery_is_a_voltage_and_a_share(devices: DeviceSet) -> None:
     assert 3.0 < state.voltage_v < 13.0 and 0.0 <= state.fraction <= 1.0
 
 
-async def test_an_emulated_robot_tells_what_its_mega_complains_of(tmp_path: Path) -> None:
+async def test_an_emulated_robot_tells_what_its_mega_complains_of(tmp_path: Path, drive: Path) -> None:
     with ExitStack() as undo:
-        devices = emulated(Bench(tmp_path, undo))
+        devices = emulated(Bench(tmp_path, undo, drive))
         assert isinstance(devices.imu, EmulatedImu)
         try:
             await until(lambda: devices.problems() == {})  # the chip is being set up at first

@@ -56,8 +56,8 @@ class Station:
 
 
 @pytest.fixture
-def running(tmp_path: Path) -> Iterator[tuple[SimulatedRobot, ControlServer, Station]]:
-    robot = SimulatedRobot("room", 1, SimulationConfig(), tmp_path)
+def running(textures: Path) -> Iterator[tuple[SimulatedRobot, ControlServer, Station]]:
+    robot = SimulatedRobot("room", 1, SimulationConfig(), textures)
     control = ControlServer(robot, 0)
     robot.start(control)
     station = Station(robot)

@@ -31,8 +31,8 @@ WAIT_S = 90.0
 
 
 @pytest.fixture
-def robot(tmp_path: Path) -> Iterator[SimulatedRobot]:
-    simulated = SimulatedRobot("room", 1, SimulationConfig(), tmp_path)
+def robot(textures: Path) -> Iterator[SimulatedRobot]:
+    simulated = SimulatedRobot("room", 1, SimulationConfig(), textures)
     simulated.start()
     yield simulated
     simulated.close()
@@ -165,8 +165,8 @@ async def capture_on_and_on(camera: Camera) -> None:
         await asyncio.wait_for(camera.capture(), WAIT_S)
 
 
-async def test_a_camera_whose_process_dies_says_so_and_comes_back(tmp_path: Path) -> None:
-    devices = open_simulated("room", 1, cache_dir=tmp_path)
+async def test_a_camera_whose_process_dies_says_so_and_comes_back(textures: Path) -> None:
+    devices = open_simulated("room", 1, cache_dir=textures)
     assert devices.camera is not None
     robot = devices.camera._robot  # type: ignore[attr-defined]
     try:

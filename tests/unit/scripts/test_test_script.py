@@ -1,8 +1,13 @@
-"""`scripts/test.sh`: which tests it runs, and that none fails unseen; with stand-ins for the tools that it calls."""
+"""`scripts/test.sh`: which tests it runs, and that none fails unseen; with stand-ins for the tools that it calls.
+
+And `--share`, by which two of its processes share tests.
+"""
 
 import os
+import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -54,38 +59,31 @@ def of_pytest(result: subprocess.CompletedProcess[str]) -> list[str]:
 def test_every_test_is_in_one_of_five_processes(folder: Path) -> None:
     result = run(folder)
     assert result.returncode == 0, result.stderr
-    assert of_pytest(result) == [
+    said, begun = of_pytest(result), re.compile(r"--share \S+/begun")
+    computing = "--durations=15 -m not hardware and computing BEGUN tests/golden tests/integration tests/e2e"
+    computing += " tests/property tests/unit -p no:cacheprovider"
+    assert [begun.sub("BEGUN", line) for line in said] == [
         "--durations=15 -m not hardware and not computing and not slow tests/integration/test_[!a-k]*.py",
-        "--durations=15 -m not hardware and computing tests/unit --ignore tests/unit/station -p no:cacheprovider",
+        computing,
         "--durations=15 -p no:cacheprovider -m not hardware and not computing and slow tests/integration tests/e2e",
         "--durations=15 -p no:cacheprovider -m not hardware and not computing and not slow tests/e2e",
-        "--durations=15 -m not hardware and computing tests/golden tests/property tests/integration tests/e2e"
+        computing,
+        "--durations=15 -m not hardware and not computing and not slow tests/integration/test_[a-k]*.py"
         " -p no:cacheprovider",
-        "--durations=15 -p no:cacheprovider -m not hardware and not computing and not slow"
-        " tests/integration/test_[a-k]*.py",
-        "--durations=15 -p no:cacheprovider -m not hardware and computing tests/unit/station",
     ]
+    assert len({found[0] for line in said if (found := begun.search(line))}) == 1
     folders = {path.relative_to(ROOT / "tests").parts[0] for path in (ROOT / "tests").glob("*/**/test_*.py")}
     assert folders == {"integration", "e2e", *COMPUTING} and {"golden", "property", "unit"} == COMPUTING
     assert not list(folder.glob("tmp.*"))
 
 
 @pytest.mark.parametrize(
-    "failing",
-    [
-        "test_[!a-k]*.py",
-        "test_[a-k]*.py",
-        "computing and slow",
-        "not slow tests/e2e",
-        "tests/golden",
-        "--ignore",
-        "computing tests/unit/station",
-    ],
+    "failing", ["test_[!a-k]*.py", "test_[a-k]*.py", "computing and slow", "not slow tests/e2e", "tests/golden"]
 )
 def test_a_failure_in_any_of_them_fails_the_whole_and_all_are_shown(folder: Path, failing: str) -> None:
     result = run(folder, failing=failing)
     assert result.returncode == 1
-    assert len(of_pytest(result)) == 7
+    assert len(of_pytest(result)) == 6
 
 
 def test_lint_begins_before_what_is_missing_is_installed_and_tests_come_after_it(folder: Path) -> None:
@@ -116,3 +114,34 @@ def test_the_page_may_go_unchecked_only_where_it_is_said_that_there_is_no_node(f
 def test_with_arguments_only_those_tests_are_run(folder: Path) -> None:
     result = run(folder, "tests/unit/shared")
     assert of_pytest(result) == ["-m not hardware tests/unit/shared"]
+
+
+# The first file ends only when the second has begun, in a process that passed the first one by.
+SHARED = """
+import time
+from pathlib import Path
+
+def test_one(): note("{name} one")
+def test_two(): note("{name} two")
+
+def note(what):
+    with (Path(__file__).parents[2] / "log").open("a") as log:
+        log.write(what + "\\n")
+    while "b one" not in (Path(__file__).parents[2] / "log").read_text():
+        time.sleep(0.01)
+    assert what != "c two"
+"""
+
+
+def test_of_two_processes_each_runs_the_files_that_the_other_has_not_begun(tmp_path: Path) -> None:
+    unit, begun = tmp_path / "tests" / "unit", tmp_path / "begun"
+    unit.mkdir(parents=True)
+    begun.mkdir()
+    shutil.copy(ROOT / "tests" / "conftest.py", tmp_path / "tests")
+    for name in "abc":
+        (unit / f"test_{name}.py").write_text(SHARED.format(name=name))
+    command = [sys.executable, "-m", "pytest", "-q", "--rootdir", tmp_path, "--share", begun, "tests/unit"]
+    both = [subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    said = [process.communicate(timeout=60)[0] for process in both]
+    assert sorted((tmp_path / "log").read_text().splitlines()) == [f"{x} {n}" for x in "abc" for n in ("one", "two")]
+    assert sorted(process.returncode for process in both) == [0, 1], said  # one of them ran what fails

@@ -154,7 +154,7 @@ def test_running_motors_shake_the_imu(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("kind", "poor"), [(kind, poor) for kind, names in POOR.items() for poor in names])
 def test_every_poor_recording_can_be_made(tmp_path: Path, kind: Kind, poor: str) -> None:
-    session = record_session(kind, tmp_path / "session", seed=5, poor=poor, seconds=2.0)
+    session = record_session(kind, tmp_path / "session", seed=5, poor=poor, seconds=1.0)
     truth, _ = truth_of(tmp_path / "session")
     assert truth["poor"] == poor
     assert (session.frames > 0) == (kind is not Kind.IMU)
