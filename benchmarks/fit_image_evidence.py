@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,11 +37,12 @@ from tests.support.likelihood_fit import (
     fitted_right,
     fitted_unmapped,
     or_usual,
+    right_pose_losses,
     usual_of,
     with_previous,
 )
 
-ROUNDS = 10  # more change nothing
+ROUNDS = 10
 
 
 def image_row(image: LookedAt, view: MapView, calibration: Calibration, where: dict[str, Any]) -> dict[str, Any]:
@@ -112,6 +113,7 @@ def fit(rows: list[dict[str, Any]], worlds: list[str], own: dict[str, OwnPicture
     usual = usual_of(rows)
     rows = [or_usual(row, usual) for row in rows]
     right, tried = fitted_with_own(rows, own, usual)
+    right = replace(right, losses=losses_by_others(rows, own, usual))
     fits: dict[str, Fit] = {
         "right": right,
         "unmapped": fitted_unmapped(rows),
@@ -154,6 +156,21 @@ def fitted_with_own(rows: list[dict[str, Any]], own: dict[str, OwnPictures], usu
         tried += mean
         found = fitted_right([{**row, "own": by_world[row["world"]]} for row in rows])
     return found, tried
+
+
+def losses_by_others(rows: list[dict[str, Any]], own: dict[str, OwnPictures], usual: Usual) -> dict[str, float]:
+    """Nats per image of each kind by what the others say, and by what its own maps' pictures say then."""
+    kinds = sorted({one.kind for one in own.values()})
+    losses = {}
+    for kind in kinds if len(kinds) > 1 else []:
+        others = {name: one for name, one in own.items() if one.kind != kind}
+        found, tried = fitted_with_own([row for row in rows if row["kind"] != kind], others, usual)
+        odds = RecognisedOdds(*found.w.tolist())
+        theirs = {n: own_log_odds(one.pictures, odds, usual, tried) for n, one in own.items() if one.kind == kind}
+        judged_rows = [row | {"own": theirs[row["world"]]} for row in rows if row["kind"] == kind]
+        judged_rows = [row for row in judged_rows if row["mapped"] and row["poses"]]
+        losses[kind] = float(right_pose_losses(judged_rows)(found.w).mean())
+    return losses
 
 
 def without(kind: str) -> Path:

@@ -35,7 +35,7 @@ fi
 # Five processes side by side, so that one computes while others wait. Whole robots go by the clock, and are judged by
 # how often they know their place in time: all else gives way to them, and what only computes to all. Browsers come after
 # them. Sockets are most of the tests and mostly wait: two halves. Two processes compute, one after lint: each takes the
-# next file that the other has not begun, the longest first, so that neither core is left alone for long at the end.
+# next file that the other has not begun, folders of long ones first, so that neither core is left alone for long at the end.
 # What those in the background say comes when the one that is seen has ended.
 run=("${pytest[@]}" --durations=15)
 by_the_clock="not hardware and not computing"

@@ -48,10 +48,14 @@ class Share:
         return True
 
     @pytest.hookimpl(tryfirst=True)
-    def pytest_runtest_protocol(self, item: pytest.Item) -> bool | None:
+    def pytest_runtest_protocol(self, item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
         if item.path not in self._is_ours:
             self._is_ours[item.path] = self._take(item.path)
-        return None if self._is_ours[item.path] else True  # anything but None: this test is done with
+        if self._is_ours[item.path]:
+            return None
+        # What was set up for the last one that ran here, such as its folder, may be no part of the next one.
+        item.session._setupstate.teardown_exact(nextitem)
+        return True  # anything but None: this test is done with
 
 
 @pytest.fixture(scope="session")

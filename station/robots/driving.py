@@ -149,7 +149,8 @@ class Driving:
         is_still = linear == 0.0 and angular == 0.0
         if not is_still and (reason := self._must_stand()):
             raise Conflict(reason)
-        self._require_robot_for_us()
+        if not is_still:  # letting go is heard whoever drives
+            self._require_robot_for_us()
         verdict = self._lease.command(_named(driver), is_still, self._now_ns(), ttl_ms * 1_000_000)
         self._require_wheel(verdict != "taken")
         if verdict == "stopped":

@@ -27,7 +27,7 @@ from shared.messages import HeartbeatReply
 STRETCH_NS = 2_000_000_000  # long enough for some quick messages each way, short enough to see soon that a clock jumped
 KEPT_STRETCHES = 300  # ten minutes
 LEAST_SIGMA_NS = 200_000.0  # two event loops: nothing is known better
-DRIFT_SIGMA = 20e-6  # of two crystals, each made within some 30 ppm at most, before anything is measured
+DRIFT_SIGMA = 25e-6  # of two crystals, each anywhere within 30 ppm, before anything is measured
 SLEWED = 1e-4  # of the time NTP slews one of the clocks, by whatever: minutes in weeks
 SLOPES = np.linspace(-MAX_CRYSTAL_DRIFT, MAX_CRYSTAL_DRIFT, 301)  # 4 ppm apart
 _CRYSTALS = (1 - SLEWED) * np.exp(-0.5 * (SLOPES / DRIFT_SIGMA) ** 2) / (math.sqrt(math.tau) * DRIFT_SIGMA)

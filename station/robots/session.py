@@ -90,6 +90,7 @@ class RobotSession(IgnoringListener):
         self._hijacking = asyncio.Lock()
         self._calibrating = asyncio.Lock()
         self.applied: DriveApplied | None = None
+        self._name = config.name
         self._status: tuple[Status, int] | None = None  # the newest of this connection, and when it came
         self.current_place = CurrentPlace(
             shared.store,
@@ -190,7 +191,10 @@ class RobotSession(IgnoringListener):
             return None
         status, t_station_ns = self._status
         is_old = time.monotonic_ns() - t_station_ns > STATUS_HOLDS_NS
-        return None if status.you_drive or is_old else status.driver
+        is_ours = (
+            status.you_drive or status.driver == self._name
+        )  # by a connection of before
+        return None if is_ours or is_old else status.driver
 
     @property
     def must_stand(self) -> str:

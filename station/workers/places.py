@@ -18,6 +18,7 @@ from station.model.place_answer import HijackNotice, MapLeftOut, MapReading, Pla
 from station.model.place_map import Grouping, PlaceMap
 from station.places.localisation.index_file import index_of
 from station.places.localisation.localizer import Localizer
+from station.places.localisation.make_index import make_index
 from station.places.localisation.map_index import MapIndex
 from station.places.making.changes import without_hidden
 from station.places.tracking.tracker import PlaceTracker
@@ -81,7 +82,7 @@ class PlaceFinder(PlaceProgram):
     def use(self, maps: Sequence[PlaceMap], indexes: Sequence[MapIndex] | None = None) -> None:
         """Answer from these maps; `indexes`: of each of them, else they are made."""
         self._maps = tuple(without_hidden(place_map) for place_map in maps)
-        self._localizer = Localizer(self._maps, index=indexes)
+        self._localizer = Localizer(self._maps, index=indexes or [make_index(one) for one in self._maps])
 
     def calibrate(self, calibration: Calibration) -> None:
         if not self._maps:

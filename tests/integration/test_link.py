@@ -109,12 +109,10 @@ async def test_on_one_machine_the_computer_is_busy_and_no_network_is_bad() -> No
 async def test_no_network_is_blamed_while_the_station_does_not_get_to_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Connection, "is_loopback", property(lambda _: False))
     async with running_robot() as bench, linked(bench.port) as (link, _):
-
-        def is_late() -> bool:
-            time.sleep(0.2)  # as where other programs take the processor
-            return link.state.network.grade in ("slow", "bad")
-
-        await until(is_late)
+        async with asyncio.timeout(60):
+            while link.state.network.grade not in ("slow", "bad"):
+                time.sleep(0.3)  # as where other programs take the processor
+                await asyncio.sleep(0.2)
         assert link.state.network.computer_busy
         assert link.state.network.sentence.startswith("the station's computer is ")
 

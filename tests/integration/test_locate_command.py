@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import msgspec
@@ -21,6 +23,8 @@ from station.maps.store import MapStore
 from station.model.frames import ImuBatch
 from station.places.making.build import build_map
 from station.places.making.changes import with_place_hidden
+from station.places.tracking import current
+from station.places.tracking.own_pictures import Judged, own_log_odds
 from station.workers.replay import ReplayOptions, answer_line, has_live_poses, live_backend, replay
 from tests.support.made_up_workers import made_up_navigation
 from tests.support.paths import RECORDINGS
@@ -77,6 +81,20 @@ def made_up(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "distortion_model: radial-tangential\ndistortion_coefficients: [0, 0, 0, 0]\n"
     )
     return root
+
+
+def test_places_are_looked_for_with_what_the_map_says_of_itself(
+    made_up: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judged: list[int] = []
+
+    def own(pictures: Sequence[Judged], *odds: Any) -> float:
+        judged.append(len(pictures))
+        return own_log_odds(pictures, *odds)
+
+    monkeypatch.setattr(current, "own_log_odds", own)
+    locate(made_up / "map", made_up / "drive.mcap", "--out", tmp_path / "out", "--json")
+    assert judged and min(judged) > 0
 
 
 def test_a_recording_without_truth_gives_answers_and_no_judgement(made_up: Path, tmp_path: Path) -> None:

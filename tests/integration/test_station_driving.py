@@ -139,6 +139,8 @@ async def test_nobody_is_told_to_drive_while_the_robot_says_that_another_station
         assert is_problem(refused, 409) and "another station (attic) drives" in refused.json()["detail"]
         assert is_problem(await desk.http.post("/pan-tilt", json={"pan": 0.1, "tilt": 0}, headers=anna), 409)
         assert (await desk.http.get("/robot")).json()["driver"] is None
+        let_go = await desk.http.post("/drive", json=order | {"linear": 0.0}, headers=anna)
+        assert let_go.status_code == 200 and not let_go.json()["you_drive"]
         async with websockets.connect(desk.socket("/ws/drive?driver=anna")) as wheel:
             await wheel.send('{"type": "take_over"}')  # of this station, against nobody
             replies = (json.loads(text) async for text in wheel)

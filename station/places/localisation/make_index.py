@@ -16,8 +16,9 @@ from station.places.localisation.map_index import MapIndex
 from station.places.localisation.tried_pictures import TriedPicture
 from station.vision.features import Features
 
-MOST_TRIED = 120  # some 40 ms each; half of them say the same to a third of what homes differ by
-NEAR_RAD = np.radians(35.0)  # views that differ by less show landmarks as they were described
+MOST_TRIED = 120  # some 40 ms each; every other one of them says the same to half a unit of log odds
+# Views that differ by less show landmarks as they were described (`LANDMARK_ANGLE_RAD` of tracking/sightings.py).
+NEAR_RAD = np.radians(35.0)
 
 
 def make_index(
@@ -59,5 +60,5 @@ def try_pictures(
 
 def _differing_rad(T: FloatArray, others: FloatArray, viewing: float) -> FloatArray:
     """(n,) by what angle a view (4, 4) and others (n, 4, 4) see what stands `viewing` away from another side."""
-    turns = np.array([rotation_angle(T[:3, :3].T @ R) for R in others[:, :3, :3]])
+    turns = rotation_angle(T[:3, :3].T @ others[:, :3, :3])
     return np.asarray(turns + np.linalg.norm(others[:, :3, 3] - T[:3, 3], axis=1) / viewing)

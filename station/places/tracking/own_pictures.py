@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 from scipy.optimize import minimize_scalar
 
@@ -36,7 +37,10 @@ class Judged:
 
 def judged(view: MapView, tried: Sequence[TriedPicture]) -> list[Judged]:
     """The poses of a map's own pictures, judged as those of the robot that mapped it."""
-    evidence = ImageEvidence([view], view.place_map.navigation.calibration, BeliefConfig())
+    navigation = view.place_map.navigation
+    told = navigation.report.told_camera or navigation.calibration.camera  # by which a map knows its own robot
+    calibration = msgspec.structs.replace(navigation.calibration, camera=told)
+    evidence = ImageEvidence([view], calibration, BeliefConfig())
     out = []
     for picture in tried:
         found = [replace(z, map_id=view.place_map.id) for z in picture.candidates]

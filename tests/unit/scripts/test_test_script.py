@@ -145,3 +145,16 @@ def test_of_two_processes_each_runs_the_files_that_the_other_has_not_begun(tmp_p
     said = [process.communicate(timeout=60)[0] for process in both]
     assert sorted((tmp_path / "log").read_text().splitlines()) == [f"{x} {n}" for x in "abc" for n in ("one", "two")]
     assert sorted(process.returncode for process in both) == [0, 1], said  # one of them ran what fails
+
+
+def test_after_a_file_of_the_other_process_tests_of_another_folder_run(tmp_path: Path) -> None:
+    begun = tmp_path / "begun"
+    begun.mkdir()
+    (begun / "unit-one-test_b.py").touch()
+    for path in ("unit/one/test_a.py", "unit/one/test_b.py", "unit/two/test_c.py"):
+        (tmp_path / "tests" / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "tests" / path).write_text(f"def test_it(): assert {path.endswith(('a.py', 'c.py'))}\n")
+    shutil.copy(ROOT / "tests" / "conftest.py", tmp_path / "tests")
+    command = [sys.executable, "-m", "pytest", "-q", "--rootdir", tmp_path, "--share", begun, "tests/unit"]
+    said = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
+    assert said.returncode == 0 and "2 passed" in said.stdout, said.stdout
