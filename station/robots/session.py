@@ -191,9 +191,7 @@ class RobotSession(IgnoringListener):
             return None
         status, t_station_ns = self._status
         is_old = time.monotonic_ns() - t_station_ns > STATUS_HOLDS_NS
-        is_ours = (
-            status.you_drive or status.driver == self._name
-        )  # by a connection of before
+        is_ours = status.you_drive or status.driver == self._name  # by a connection of before
         return None if is_ours or is_old else status.driver
 
     @property
