@@ -22,9 +22,9 @@ from station.places.tracking.image_evidence import ImageEvidence, MatchFigures, 
 from station.places.tracking.map_view import MapView
 
 RIGHT_M = 0.5  # from the true position: a map that SLAM bent is no look-alike
-# What a map may have of its own, log odds, one sigma: so wide that a dozen poses outweigh it. How homes differ where
-# the odds were fitted is no guide to homes of another kind.
-WIDE, MOST = 3.0, 10.0
+# What a map may have of its own, log odds, one sigma. Homes of patterns and of white walls lie two of these apart. Were
+# it three, a tiny map whose few pictures are found elsewhere once their neighbours are left out would know nothing.
+WIDE, MOST = 1.0, 10.0
 
 
 @dataclass(frozen=True, slots=True)
