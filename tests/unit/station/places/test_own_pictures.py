@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -64,6 +65,20 @@ def belief_after_one_image(tried: list[TriedPicture]) -> Belief:
 def test_in_a_home_where_much_looks_alike_an_image_says_less() -> None:
     as_usual, alike = belief_after_one_image([]), belief_after_one_image(wrong_at(0.0, 40))
     assert alike.localised < 0.9 * as_usual.localised
+
+
+def test_each_of_two_maps_has_its_own() -> None:
+    def share_of_plain(tried_in_plain: list[TriedPicture]) -> float:
+        estimator = CurrentPlaceEstimator([make_map("a"), make_map("plain")], config=CONFIG, tried=[[], tried_in_plain])
+        both = [
+            seen(1.0, pose(3.0, 0.0), inliers=60, extent=0.1, map_id=name, landmarks=(1,)) for name in ("a", "plain")
+        ]
+        estimator.on_candidates(both)
+        weights = {h.map_index: h.weight for h in estimator._belief.hypotheses}
+        return weights[1] / (weights[0] + weights[1])
+
+    assert share_of_plain([]) == pytest.approx(0.5)
+    assert share_of_plain(wrong_at(0.0, 40)) < 0.3
 
 
 candidate = st.builds(
