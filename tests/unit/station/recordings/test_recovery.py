@@ -102,7 +102,10 @@ def test_a_chunk_that_claims_the_next_ones_bytes_hides_none_of_them(
     assert int.from_bytes(damaged[size_at : size_at + 8], "little") == claiming.compressed_size
     damaged[size_at + 1] ^= 0x80  # 32 kB more
     path.write_bytes(damaged)
-    assert recover_recording(path) is not None
+    recovery = recover_recording(path)
+    kB = (chunks[5][0].chunk_start_offset - claiming.chunk_start_offset) / 1000
+    assert recovery is not None and recovery.inside == f"1 damaged stretch inside it ({kB:.1f} kB)"
+    assert recovery.original is not None and recovery.original.read_bytes() == damaged
     others = Counter[Told]()
     for index, held in chunks:
         if index is not claiming:
