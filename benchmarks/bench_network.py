@@ -44,8 +44,8 @@ WARM_UP_S = 10.0
 SAMPLE_EVERY_S = 0.5
 # The clock is as good as the quickest packet each way. Where a delay is drawn from 300 ms three times a second, the
 # quickest of a minute lies 1.7 ms above the least in the mean, exponentially: half the difference of both ways comes
-# within 2 ms with 91 % after a minute and 99 % after two. It was judged after one, and missed by a hair in one of three
-# runs; before it can be known an estimate can only be asked how wrong it may be.
+# within 2 ms with 91 % after a minute and 99 % after two, by its delays alone; what clocks may drift comes on top.
+# It was judged after one minute, and missed by a hair in one of three runs.
 CLOCK_SETTLES_S = 120.0
 HOLD_S, REST_S, CUT_AFTER_S, CUT_S = 3.0, 0.8, 1.5, 1.0
 CUT_EVERY = 3  # holds, where cuts are not all there is

@@ -13,6 +13,7 @@ from shared.geometry import FloatArray, IntArray, homogeneous
 from station.model.place_map import PlaceMap
 from station.vision.features import DescriptorArray, Features, to_rays
 
+LANDMARK_ANGLE_RAD = np.radians(35.0)  # seen from farther aside, a landmark does not look as it was described
 ON_LANDMARK_PX = 2.0  # two detectors agree on a corner to about a pixel
 NEAR_LANDMARK_PX = 30.0  # a surface is smooth that far, or its landmarks disagree in depth
 MIN_ON_LANDMARK = 120  # fewer: depths are borrowed from neighbouring landmarks

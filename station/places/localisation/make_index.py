@@ -10,15 +10,13 @@ import numpy as np
 from shared.geometry import FloatArray, rotation_angle
 from station.model.place_map import PlaceMap
 from station.places.localisation.described_pictures import DescribedPictures
-from station.places.localisation.keyframe_features import describe_keyframes
+from station.places.localisation.keyframe_features import LANDMARK_ANGLE_RAD, describe_keyframes
 from station.places.localisation.localizer import Localizer
 from station.places.localisation.map_index import MapIndex
 from station.places.localisation.tried_pictures import TriedPicture
 from station.vision.features import Features
 
 MOST_TRIED = 120  # some 40 ms each; every other one of them says the same to half a unit of log odds
-# Views that differ by less show landmarks as they were described (`LANDMARK_ANGLE_RAD` of tracking/sightings.py).
-NEAR_RAD = np.radians(35.0)
 
 
 def make_index(
@@ -51,7 +49,7 @@ def try_pictures(
     tried = []
     for k in np.unique(np.linspace(0, len(poses) - 1, MOST_TRIED).astype(int)).tolist():
         features = describe(navigation.keyframes.encoded[k])
-        near = np.flatnonzero(_differing_rad(poses[k], poses, viewing) < NEAR_RAD)
+        near = np.flatnonzero(_differing_rad(poses[k], poses, viewing) < LANDMARK_ANGLE_RAD)
         attempt = localizer.attempt_features([features], 0, camera, left_out=frozenset(near.tolist()))
         if attempt.candidates:
             tried.append(TriedPicture(poses[k], tuple(replace(z, map_id="") for z in attempt.candidates)))

@@ -9,10 +9,10 @@ from scipy.spatial import cKDTree
 from shared.calibration import CameraCalibration
 from shared.geometry import FloatArray, IntArray
 from station.model.place_map import PlaceMap
+from station.places.localisation.keyframe_features import LANDMARK_ANGLE_RAD
 from station.places.space.space import Space
 
-# A landmark seen from another side, or far smaller or larger, it does not look like itself.
-LANDMARK_ANGLE_RAD = np.radians(35.0)
+# Far smaller or larger a landmark does not look like itself, nor from another side (LANDMARK_ANGLE_RAD).
 LANDMARK_ZOOM = 2.0
 LANDMARK_REACH = 2.5  # m around a position in which keyframes are asked what they saw
 MOST_ASKED = 400  # of those, for one image: 4000 (a room driven through all day) would take 0.1 s for each hypothesis
