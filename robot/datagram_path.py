@@ -20,6 +20,7 @@ from shared.messages import (
     StationDatagram,
 )
 from shared.picture_pieces import MAX_PICTURE_BYTES, MESSAGE, cut, num_pieces
+from shared.session import HEARTBEAT_INTERVAL_NS
 
 SILENT_BEATS = 10  # a second of heartbeats by the connection and no word of a datagram: none arrives
 
@@ -51,13 +52,20 @@ class DatagramPath:
         self._num_pictures = self._num_bytes = 0
         self._heard = -1  # newest datagram that the station has
         self._silent_beats = SILENT_BEATS
+        self._beat_ns = -HEARTBEAT_INTERVAL_NS  # when the last that counts was read
 
     @property
     def is_open(self) -> bool:
         return self._silent_beats < SILENT_BEATS
 
-    def note_beat(self) -> None:
-        """The station's heartbeat came by the connection: a datagram could have come as well."""
+    def note_beat(self, read_ns: int) -> None:
+        """The station's heartbeat came by the connection: a datagram could have come as well.
+
+        What a network that carried nothing had kept comes in one burst, and is one chance for a datagram, not many.
+        """
+        if read_ns - self._beat_ns < HEARTBEAT_INTERVAL_NS // 2:
+            return
+        self._beat_ns = read_ns
         self._silent_beats = min(self._silent_beats + 1, SILENT_BEATS)
 
     def cut(self, frame: CameraFrame, now_ns: int) -> list[bytes] | None:

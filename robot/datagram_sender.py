@@ -76,10 +76,10 @@ class DatagramSender:
         self._choose()
         self._wake.set()
 
-    def note_beat(self, reply: HeartbeatReply) -> None:
+    def note_beat(self, reply: HeartbeatReply, read_ns: int) -> None:
         """A heartbeat came by the connection. Until the way is open it is answered here too: that opens firewalls."""
         self._beats += 1
-        self.path.note_beat()
+        self.path.note_beat(read_ns)
         if not self.path.is_open:
             self._reply(reply.seq, reply.t_station_ns, reply.t_robot_received_ns)
         self._choose()

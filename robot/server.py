@@ -230,7 +230,7 @@ class RobotServer:
             reply = reply_to(message, t_robot_ns, t_robot_ns, took_stop=took_stop)
             client.put(reply)
             if client.datagrams is not None:
-                client.datagrams.note_beat(reply)
+                client.datagrams.note_beat(reply, client.read_ns)
         if (refusal := self.desk.handle(client.id, message, client.read_ns)) is not None:
             client.put(refusal)
 
