@@ -158,10 +158,13 @@ class CommandDesk:
     devices: DeviceSet
     watchdog: MotorWatchdog | None  # None: a robot without motors
     limits: DriveConfig
-    lease: DriverLease[int] = field(default_factory=lambda: DriverLease(LEASE_NS))  # by client id
+    # By station: one that made its connection anew is not somebody else, and its own stop of before is letting go.
+    lease: DriverLease[str] = field(default_factory=lambda: DriverLease(LEASE_NS))
     refused: int = 0
     _handled_by: set[int] = field(default_factory=set)  # clients at which somebody handles the robot
     _orders: dict[int, CommandOrder] = field(default_factory=dict)  # client id → order of its commands
+    _stations: dict[int, str] = field(default_factory=dict)  # client id → who speaks by it
+    _drove: int | None = None  # client by which the last command that counts came
     head: CameraHead | None = field(init=False)  # None: the camera is fixed
 
     def __post_init__(self) -> None:
@@ -180,6 +183,13 @@ class CommandDesk:
             max_linear_m_s=self.limits.max_linear_m_s,
             max_angular_rad_s=self.limits.max_angular_rad_s,
         )
+
+    def join(self, client: int, station: str) -> None:
+        """A connection is this station's; without it each is a station of its own."""
+        self._stations[client] = station
+
+    def _station(self, client: int) -> str:
+        return self._stations.get(client, f"connection {client}")
 
     def note_heard(self, client: int, sent_ns: int) -> None:
         """This station has heard what we sent then, and all before it."""
@@ -236,20 +246,25 @@ class CommandDesk:
                 self.watchdog.stop()
 
     def leave(self, client: int) -> None:
-        """The station is gone: if it drove, the motors stop now."""
+        """The connection is gone: if the station drove by it, the motors stop now."""
         self._orders.pop(client, None)
         self.go_quiet(client)
+        self._stations.pop(client, None)
 
     def go_quiet(self, client: int) -> None:
-        """Nothing was heard of the station for a while: it neither drives nor keeps others from it any more."""
+        """Nothing was heard of the station by this connection for a while: it neither drives nor keeps others from it.
+
+        Where the station drives by another connection, it goes on.
+        """
         self._handled_by.discard(client)
-        if self.lease.leave(client) and self.watchdog is not None:
+        if self._drove == client and self.lease.leave(self._station(client)) and self.watchdog is not None:
             self.watchdog.stop()
 
     def _order(self, client: int, now_ns: int) -> CommandOrder:
         if client not in self._orders:
             self._orders[client] = CommandOrder()
-            self.lease.hear_holding(client, now_ns)  # it may be one that was stopped, whose connection broke
+            # It may be one that was stopped, whose connection broke.
+            self.lease.hear_holding(self._station(client), now_ns)
         return self._orders[client]
 
     def _drive(
@@ -257,16 +272,16 @@ class CommandDesk:
     ) -> ErrorNotice | None:
         if self.watchdog is None:
             return self._refuse("not_capable", "this robot has no motors")
-        wish = Velocity(message.linear, message.angular)
+        station, wish = self._station(client), Velocity(message.linear, message.angular)
         is_first = order.is_first(message.seq, is_datagram=is_datagram)
         is_next = order.count(message.seq)
         until_ns = order.until_ns(message, now_ns, is_datagram=is_datagram)
         if not is_first:
             return None
         if not wish.is_zero and (until_ns is None or not is_next):
-            self.lease.hear_holding(client, now_ns)  # a network that froze is no driver who let go
+            self.lease.hear_holding(station, now_ns)  # a network that froze is no driver who let go
         if until_ns is None:
-            if wish.is_zero and self.lease.last_driver == client:
+            if wish.is_zero and self._drove == client:
                 self.watchdog.stop()  # letting go counts however late it comes
             return None  # the past needs no answer; what counts comes next
         limits = self.limits
@@ -279,7 +294,10 @@ class CommandDesk:
             )
         if self.is_handled and not wish.is_zero:
             return self._refuse("not_allowed", "somebody handles the robot to calibrate it; it drives again after that")
-        match self.lease.command(client, wish.is_zero, now_ns):
+        verdict = self.lease.command(station, wish.is_zero, now_ns)
+        if verdict != "taken":
+            self._drove = client
+        match verdict:
             case "taken":
                 return self._refuse("not_driver", "another station drives; wait until it has let go for a second")
             case "stopped":
@@ -297,7 +315,8 @@ class CommandDesk:
     def _stop(self, client: int, order: CommandOrder, message: Stop, now_ns: int) -> ErrorNotice | None:
         order.count(message.seq)
         order.is_newest(message.seq)  # commands sent before it are old now
-        if client != self.lease.driver(now_ns):  # a station stops by itself, too: its own stop is no letting go
+        # A station stops by itself, too: its own stop is no letting go.
+        if self._station(client) != self.lease.driver(now_ns):
             self.lease.stop(None, now_ns)
         if self.watchdog is not None:
             self.watchdog.stop()
@@ -334,7 +353,7 @@ class CommandDesk:
         return None
 
     def _is_driven_by_another(self, client: int, now_ns: int) -> bool:
-        return self.lease.driver(now_ns) not in (None, client)
+        return self.lease.driver(now_ns) not in (None, self._station(client))
 
     def _refuse(self, code: ErrorCode, reason: str, about: About = msgspec.UNSET) -> ErrorNotice:
         self.refused += 1

@@ -270,6 +270,9 @@ class RobotServer:
             client.end(Event.REFUSAL, Refusal(reason=f"{limit} stations are connected, no more are allowed"))
             return
         client.station_name = join.station_name
+        # What a station says of itself counts beside its token: nobody drives as another one.
+        client.driver = f"{client.token_id} {join.station_id}" if join.station_id else f"connection {client.id}"
+        self.desk.join(client.id, client.driver)
         client.knows_calibration_changed = join.knows_calibration_changed
         client.put(Welcome(client_id=client.id))
         client.put(self._drive_report(self._applied()))
@@ -427,8 +430,8 @@ class RobotServer:
     def _status_for(self, client: StationClient) -> Status:
         battery = self._read_battery()
         now_ns = self._now_ns()
-        driver_id = self.desk.lease.driver(now_ns)
-        driver = None if driver_id is None else self._clients.get(driver_id)
+        driving = self.desk.lease.driver(now_ns)
+        driver = next((c for c in self._clients.values() if c.driver == driving), None)
         return Status(
             t_robot_ns=self._devices.clock(),
             uptime_s=(now_ns - self._started_ns) * 1e-9,
@@ -444,7 +447,7 @@ class RobotServer:
             messages_dropped=client.messages_dropped,
             stations=sum(c.is_joined for c in self._clients.values()),
             driver=driver.station_name if driver is not None else None,
-            you_drive=driver_id == client.id,
+            you_drive=driving is not None and client.driver == driving,
             watchdog_stops=0 if self.watchdog is None else self.watchdog.stops,
             commands_refused=self.desk.refused,
             faults=self.faults.sentences(),

@@ -155,6 +155,8 @@ class Join(_Message, frozen=True, kw_only=True, omit_defaults=True, tag="join"):
     next_imu_sequence: NextSequence = -1  # the first sample not yet received; -1: from now on
     knows_calibration_changed: bool = False  # False: an older station, whose connection that message would end
     knows_depth: bool = False  # likewise
+    # Of one run of a station's program, the same in all its connections; "": an older station.
+    station_id: Annotated[str, Meta(max_length=MAX_NAME_LENGTH, pattern=PRINTABLE)] = ""
 
 
 class Welcome(_Message, frozen=True, kw_only=True, tag="welcome"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import secrets
 import time
 from collections.abc import Callable, Collection
 from dataclasses import replace
@@ -89,6 +90,7 @@ class RobotLink:
         self._port = port
         self._listener = listener
         self._station_name = station_name
+        self._station_id = secrets.token_hex(8)
         self._now_ns = now_ns
         self._robots = robots
         self._connection: Connection | None = None
@@ -438,6 +440,7 @@ class RobotLink:
                 next_imu_sequence=self._arrived.next_imu_sequence,
                 knows_calibration_changed=True,
                 knows_depth=True,
+                station_id=self._station_id,
             )
         )
 

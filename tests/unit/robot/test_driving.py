@@ -94,6 +94,44 @@ def test_who_was_stopped_before_stops_the_next_driver_as_well() -> None:
     assert is_refused(command_desk, 2, 4, later + 50 * MS)
 
 
+def one_station_by_two_connections() -> CommandDesk:
+    """Station "a" drives by connection 1 at 9 s and has opened 2; station "b" has 3."""
+    command_desk, _ = desk(9 * S)
+    for client, station in ((1, "a"), (2, "a"), (3, "b")):
+        command_desk.join(client, station)
+        for t in (8 * S, 9 * S):
+            command_desk.handle(client, Heartbeat(seq=0, t_station_ns=t), t)
+    assert command_desk.handle(1, command(1, 9 * S), 9 * S) is None
+    return command_desk
+
+
+def test_a_station_that_says_its_own_stop_again_by_a_new_connection_goes_on_driving() -> None:
+    command_desk = one_station_by_two_connections()
+    command_desk.handle(2, Stop(seq=1), 9 * S + 10 * MS)
+    command_desk.leave(1)
+    assert not is_refused(command_desk, 2, 2, 9 * S + 50 * MS)
+
+
+def test_the_wheel_stays_with_a_station_whose_other_connection_ends() -> None:
+    command_desk = one_station_by_two_connections()
+    assert not is_refused(command_desk, 2, 1, 9 * S + 50 * MS)
+    command_desk.leave(1)
+    assert holds_motion()
+    refused = command_desk.handle(3, command(1, 9 * S + 60 * MS), 9 * S + 60 * MS)
+    assert refused is not None and "another station drives" in refused.message
+    command_desk.leave(2)
+    assert not holds_motion()
+    assert not is_refused(command_desk, 3, 2, 9 * S + 70 * MS)
+
+
+def test_another_stations_stop_holds_for_all_connections_of_the_one_that_drove() -> None:
+    command_desk = one_station_by_two_connections()
+    command_desk.handle(3, Stop(seq=1), 9 * S + 10 * MS)
+    assert is_refused(command_desk, 2, 1, 9 * S + 50 * MS)
+    command_desk.leave(1)
+    assert is_refused(command_desk, 2, 2, 9 * S + 100 * MS)
+
+
 def test_a_connection_that_breaks_is_no_letting_go() -> None:
     command_desk = one_stopped_who_holds_on()
     command_desk.leave(1)
