@@ -11,35 +11,88 @@ from shared.geometry import FloatArray, IntArray, transform
 from station.model.navigation import Navigation, Trajectory
 from station.model.slam_update import SlamUpdate, TrackingState
 
-MAX_LIVE_POINTS = 2_000_000
+MAX_LIVE_POINTS = 100_000  # of a running navigation: 2.3 MB
+MAX_FINISHED_POINTS = 2_000_000
+# Finer than anybody sees or SLAM knows: of a flat that fills the page a pixel is 1 cm wide and a point two pixels, the
+# page's line of the way has steps of 2 cm, and a landmark 1 m away may be wrong by 15 cm in depth. Where the scale is
+# arbitrary it is a length too: `mono` believes new features 3.3 units away.
+LIVE_CELL_M = 0.02
 MAX_LIVE_POSES = 20_000  # the most that GET /trajectory gives
+_CELLS_ASIDE = 2**20  # of a cell's three numbers: they share one of 63 bits. That is 20 km
 
 
 class PointBuffer:
-    """Points that only get more; memory doubles when full."""
+    """Points that only get more, at most one in each cell of space: a room that is known already adds hardly any.
 
-    def __init__(self) -> None:
-        self._p: npt.NDArray[np.float32] = np.empty((1024, 3), np.float32)
-        self._rgb: npt.NDArray[np.uint8] = np.empty((1024, 3), np.uint8)
+    When full, cells become wider until at most half of the points are left, and those are numbered anew. So a drive of
+    hours takes the memory of its first minute, however its landmarks scatter.
+    """
+
+    def __init__(self, max_points: int = MAX_LIVE_POINTS, cell: float = LIVE_CELL_M) -> None:
+        # Filled: what is only reserved would grow with its use.
+        self._p: npt.NDArray[np.float32] = np.full((max_points, 3), 0.0, np.float32)
+        self._rgb: npt.NDArray[np.uint8] = np.full((max_points, 3), 0, np.uint8)
+        self._cells: IntArray = np.full(max_points, 0)  # of all points, ascending
+        self._cell = cell
         self._count = 0
+        self.renumbered = 0  # how often points were left out that had numbers
+
+    @classmethod
+    def holding(cls, p: npt.NDArray[np.floating], rgb: npt.NDArray[np.uint8]) -> PointBuffer:
+        """All these points, however close together, and no more: (n, 3) positions and (n, 3) colours 0..255."""
+        buffer = cls(0)
+        buffer._p, buffer._rgb = p[:MAX_FINISHED_POINTS].astype(np.float32), rgb[:MAX_FINISHED_POINTS].copy()
+        buffer._count = len(buffer._p)
+        return buffer
 
     def __len__(self) -> int:
         return self._count
 
-    def add(self, p: npt.NDArray[np.floating], rgb: npt.NDArray[np.generic]) -> None:
-        """(n, 3) positions and (n, 3) colours 0..255. Beyond the limit points are left out of the live view."""
-        n = min(len(p), MAX_LIVE_POINTS - self._count)
-        while self._count + n > len(self._p):
-            self._p = np.concatenate([self._p, np.empty_like(self._p)])
-            self._rgb = np.concatenate([self._rgb, np.empty_like(self._rgb)])
-        self._p[self._count : self._count + n] = p[:n]
-        self._rgb[self._count : self._count + n] = rgb[:n]
-        self._count += n
+    def add(self, p: npt.NDArray[np.floating], rgb: npt.NDArray[np.generic]) -> int:
+        """(n, 3) positions and (n, 3) colours 0..255, the first of each cell stays. Returns how many were new."""
+        is_somewhere = np.isfinite(p).all(axis=1)
+        p, rgb = p[is_somewhere].astype(np.float32), rgb[is_somewhere]
+        new, cells = self._new(p)
+        while self._count + len(new) > len(self._p):
+            self._thin_out()
+            new, cells = self._new(p)
+        end = self._count + len(new)
+        self._p[self._count : end], self._rgb[self._count : end] = p[new], rgb[new]
+        at = np.searchsorted(self._cells[: self._count], cells)
+        self._cells[:end] = np.insert(self._cells[: self._count], at, cells)
+        self._count = end
+        return len(new)
 
     def since(self, first: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8]]:
         """Copies of the points from number `first` on."""
         first = min(max(first, 0), self._count)
         return self._p[first : self._count].copy(), self._rgb[first : self._count].copy()
+
+    def _cells_of(self, p: npt.NDArray[np.float32]) -> IntArray:
+        """(n,) one number for each cell."""
+        x, y, z = np.rint(p.astype(np.float64) / self._cell).clip(-_CELLS_ASIDE, _CELLS_ASIDE - 1).astype(np.int64).T
+        cells: IntArray = ((x + _CELLS_ASIDE) << 42) | ((y + _CELLS_ASIDE) << 21) | (z + _CELLS_ASIDE)
+        return cells
+
+    def _new(self, p: npt.NDArray[np.float32]) -> tuple[IntArray, IntArray]:
+        """Which of these points are the first in their cells, in their order; these cells, ascending."""
+        cells, first = np.unique(self._cells_of(p), return_index=True)
+        known = self._cells[: self._count]
+        at = np.searchsorted(known, cells)
+        is_new = np.append(known, -1)[at] != cells
+        return np.sort(first[is_new]), cells[is_new]
+
+    def _thin_out(self) -> None:
+        self.renumbered += 1
+        self._cell *= 2.0
+        cells, first = np.unique(self._cells_of(self._p[: self._count]), return_index=True)
+        while len(cells) > max(1, len(self._p) // 2):
+            self._cell *= 2.0
+            cells, first = np.unique(self._cells_of(self._p[: self._count]), return_index=True)
+        kept = np.sort(first)
+        self._count = len(kept)
+        self._p[: self._count], self._rgb[: self._count] = self._p[kept], self._rgb[kept]
+        self._cells[: self._count] = cells
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,18 +147,19 @@ class LiveSlam:
     def __init__(self, navigation_id: str) -> None:
         self.navigation_id = navigation_id
         self.source = navigation_id  # names this cloud: that of the finished navigation is another one
+        self.restarts = 0
+        self._parts = 1  # clouds so far
         self.state: TrackingState | None = None
         self.message = "waiting for the first picture"
         self.num_landmarks = 0
         self.frames = 0
         self.points = PointBuffer()
         self.path = LivePath()
-        self.restarts = 0
 
     def restart(self) -> None:
         """SLAM begins anew: what comes is in another frame, so what came before is not shown with it."""
         self.restarts += 1
-        self.source = f"{self.navigation_id}/part-{self.restarts + 1}"
+        self._begin_cloud()
         self.points = PointBuffer()
         self.path = LivePath()
         self.num_landmarks = 0
@@ -129,8 +183,16 @@ class LiveSlam:
             return False
         if update.T_map_world is not None:
             points = transform(update.T_map_world, points)
-        self.points.add(points, np.full((len(points), 3), 200, np.uint8) if rgb is None else rgb)
-        return True
+        renumbered = self.points.renumbered
+        num_new = self.points.add(points, np.full((len(points), 3), 200, np.uint8) if rgb is None else rgb)
+        if self.points.renumbered != renumbered:
+            self._begin_cloud()  # whoever has the points up to some number has others
+        return num_new > 0
+
+    def _begin_cloud(self) -> None:
+        """Readers fetch all of it."""
+        self._parts += 1
+        self.source = f"{self.navigation_id}/part-{self._parts}"
 
     @classmethod
     def of_finished(cls, navigation: Navigation, message: str) -> LiveSlam:
@@ -139,7 +201,7 @@ class LiveSlam:
         live.state, live.message = None, message
         live.num_landmarks = len(navigation.landmarks)
         live.frames = navigation.report.frames
-        live.points.add(navigation.landmarks.p_world, navigation.landmarks.rgb)
+        live.points = PointBuffer.holding(navigation.landmarks.p_world, navigation.landmarks.rgb)
         times: IntArray = navigation.trajectory.t_robot_ns
         live.path = LivePath(max(1, len(times)))
         for t_ns, T in zip(times.tolist(), navigation.trajectory.T_world_body, strict=True):
