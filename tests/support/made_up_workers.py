@@ -61,7 +61,7 @@ class StraightSlam:
         self.frames.append(frame)
         T = np.eye(4)
         T[0, 3] = 0.01 * len(self.frames)
-        points = np.full((10, 3), float(len(self.frames)))
+        points = len(self.frames) + 0.05 * np.arange(10.0)[:, None].repeat(3, axis=1)  # each in a cell of its own
         return SlamUpdate(frame.t_robot_ns, "tracking", "going straight", T, 10, False, points, points)
 
     def catch_up(self) -> bool:
