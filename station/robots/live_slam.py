@@ -13,9 +13,8 @@ from station.model.slam_update import SlamUpdate, TrackingState
 
 MAX_LIVE_POINTS = 100_000  # of a running navigation: 2.3 MB
 MAX_FINISHED_POINTS = 2_000_000
-# Finer than anybody sees or SLAM knows: of a flat that fills the page a pixel is 1 cm wide and a point two pixels, the
-# page's line of the way has steps of 2 cm, and a landmark 1 m away may be wrong by 15 cm in depth. Where the scale is
-# arbitrary it is a length too: `mono` believes new features 3.3 units away.
+# Finer than anybody sees: of a flat of 10 m that fills the page a pixel is 1 cm and a point two pixels wide, and the
+# page's line of the way has steps of 2 cm. Where the scale is arbitrary it is so many units.
 LIVE_CELL_M = 0.02
 MAX_LIVE_POSES = 20_000  # the most that GET /trajectory gives
 _CELLS_ASIDE = 2**20  # of a cell's three numbers: they share one of 63 bits. That is 20 km
@@ -173,7 +172,7 @@ class LiveSlam:
         self.message = message
 
     def update(self, update: SlamUpdate) -> bool:
-        """Take in what a frame changed; True when there are new points."""
+        """Take in what a frame changed; True when there are new points, or old ones have other numbers."""
         self.frames += 1
         self.state, self.message, self.num_landmarks = update.state, update.message, update.num_landmarks
         if (T := update.T_map_body) is not None:
@@ -185,9 +184,10 @@ class LiveSlam:
             points = transform(update.T_map_world, points)
         renumbered = self.points.renumbered
         num_new = self.points.add(points, np.full((len(points), 3), 200, np.uint8) if rgb is None else rgb)
-        if self.points.renumbered != renumbered:
-            self._begin_cloud()  # whoever has the points up to some number has others
-        return num_new > 0
+        if self.points.renumbered == renumbered:
+            return num_new > 0
+        self._begin_cloud()  # whoever has the points up to some number has others
+        return True
 
     def _begin_cloud(self) -> None:
         """Readers fetch all of it."""

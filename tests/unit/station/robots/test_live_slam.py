@@ -96,6 +96,14 @@ def test_readers_hear_of_another_cloud_when_points_are_numbered_anew_and_only_th
     assert live.source not in ("nav-1", other)
 
 
+def test_readers_hear_of_points_that_were_only_left_out() -> None:
+    live = LiveSlam("nav-1")
+    live.points = PointBuffer(1)
+    assert live.update(update_with(np.zeros((1, 3))))
+    assert live.update(update_with(np.full((1, 3), 0.1)))  # both are in one cell now: there is no new one
+    assert len(live.points) == 1 and live.source != "nav-1"
+
+
 def pose(number: int) -> LivePose:
     T = np.eye(4)
     T[0, 3] = number
