@@ -48,7 +48,7 @@ from shared.messages import (
     Welcome,
 )
 from shared.session import Session, State
-from shared.text import is_printable
+from shared.text import is_printable, is_seen_whole, is_unseen
 
 TIME = st.integers(-MAX_TIME_NS, MAX_TIME_NS)
 COUNT = st.integers(0, MAX_COUNT)
@@ -65,7 +65,14 @@ def floats_within(limit: float) -> st.SearchStrategy[float]:
 
 
 STATION_MESSAGES: st.SearchStrategy[StationMessage] = st.one_of(
-    st.builds(Join, protocol=COUNT, station_name=NAME, resume_session_id=st.just("") | NAME, knows_depth=st.booleans()),
+    st.builds(
+        Join,
+        protocol=COUNT,
+        station_name=NAME,
+        resume_session_id=st.just("") | NAME,
+        knows_depth=st.booleans(),
+        station_id=st.just("") | NAME,
+    ),
     st.builds(Heartbeat, seq=COUNT, t_station_ns=TIME),
     st.builds(
         Drive,
@@ -87,8 +94,8 @@ ROBOT_MESSAGES: st.SearchStrategy[RobotMessage] = st.one_of(
     st.builds(
         Hello,
         protocol=COUNT,
-        robot_id=NAME,
-        name=NAME,
+        robot_id=NAME.filter(is_seen_whole).filter(lambda name: not is_unseen(name)),
+        name=NAME.filter(lambda name: not is_unseen(name)),
         session_id=NAME,
         capabilities=st.builds(
             Capabilities,
