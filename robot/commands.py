@@ -164,7 +164,7 @@ class CommandDesk:
     _handled_by: set[int] = field(default_factory=set)  # clients at which somebody handles the robot
     _orders: dict[int, CommandOrder] = field(default_factory=dict)  # client id → order of its commands
     _stations: dict[int, str] = field(default_factory=dict)  # client id → who speaks by it
-    _drove: int | None = None  # client by which the last command that counts came
+    _driven_by: int | None = None  # client by which the wheel was claimed last
     head: CameraHead | None = field(init=False)  # None: the camera is fixed
 
     def __post_init__(self) -> None:
@@ -185,7 +185,7 @@ class CommandDesk:
         )
 
     def join(self, client: int, station: str) -> None:
-        """A connection is this station's; without it each is a station of its own."""
+        """A connection is this station's. Of an older one, which does not say who it is, each is somebody else."""
         self._stations[client] = station
 
     def _station(self, client: int) -> str:
@@ -231,6 +231,10 @@ class CommandDesk:
             case _:
                 return None
 
+    def is_driven_by(self, client: int, now_ns: int) -> bool:
+        """Whether this connection's station drives, by whichever connection."""
+        return self.lease.driver(now_ns) == self._station(client)
+
     @property
     def is_handled(self) -> bool:
         """Somebody is beside the robot, and no station drives it."""
@@ -257,7 +261,7 @@ class CommandDesk:
         Where the station drives by another connection, it goes on.
         """
         self._handled_by.discard(client)
-        if self._drove == client and self.lease.leave(self._station(client)) and self.watchdog is not None:
+        if self._driven_by == client and self.lease.leave(self._station(client)) and self.watchdog is not None:
             self.watchdog.stop()
 
     def _order(self, client: int, now_ns: int) -> CommandOrder:
@@ -281,7 +285,7 @@ class CommandDesk:
         if not wish.is_zero and (until_ns is None or not is_next):
             self.lease.hear_holding(station, now_ns)  # a network that froze is no driver who let go
         if until_ns is None:
-            if wish.is_zero and self._drove == client:
+            if wish.is_zero and self.lease.last_driver == station:
                 self.watchdog.stop()  # letting go counts however late it comes
             return None  # the past needs no answer; what counts comes next
         limits = self.limits
@@ -296,7 +300,7 @@ class CommandDesk:
             return self._refuse("not_allowed", "somebody handles the robot to calibrate it; it drives again after that")
         verdict = self.lease.command(station, wish.is_zero, now_ns)
         if verdict != "taken":
-            self._drove = client
+            self._driven_by = client
         match verdict:
             case "taken":
                 return self._refuse("not_driver", "another station drives; wait until it has let go for a second")
@@ -316,7 +320,7 @@ class CommandDesk:
         order.count(message.seq)
         order.is_newest(message.seq)  # commands sent before it are old now
         # A station stops by itself, too: its own stop is no letting go.
-        if self._station(client) != self.lease.driver(now_ns):
+        if not self.is_driven_by(client, now_ns):
             self.lease.stop(None, now_ns)
         if self.watchdog is not None:
             self.watchdog.stop()

@@ -1,9 +1,13 @@
-"""How the robot's computer is: CPU use and temperatures."""
+"""How the robot itself is: CPU use, temperatures and battery."""
 
 from __future__ import annotations
 
 import time
 from pathlib import Path
+
+from robot.devices.ports import Battery
+from robot.sensors import Faults
+from shared.errors import HardwareError
 
 THERMAL_ZONES = Path("/sys/class/thermal")
 
@@ -34,3 +38,16 @@ def read_temperatures() -> dict[str, float]:
         except (OSError, ValueError):
             continue
     return temperatures
+
+
+def read_battery(battery: Battery | None, faults: Faults) -> tuple[float | None, float | None]:
+    """Voltage and fraction left, as far as known; what keeps it from being read is a fault."""
+    if battery is None:
+        return None, None
+    try:
+        state = battery.read()
+    except HardwareError as exc:
+        faults.set("battery", f"battery: {exc}")
+        return None, None
+    faults.clear("battery")
+    return state.voltage_v, state.fraction

@@ -21,7 +21,7 @@ from robot.depth import DepthSlot, DepthStream
 from robot.devices.ports import DeviceSet
 from robot.doorstep import Doorstep
 from robot.head import STEP_S, CameraHead
-from robot.health import CpuMeter, read_temperatures
+from robot.health import CpuMeter, read_battery, read_temperatures
 from robot.measured_motors import MeasuredMotors
 from robot.outbox import ImuBacklog, ImuCursor
 from robot.own_calibration import OwnCalibration
@@ -271,8 +271,8 @@ class RobotServer:
             return
         client.station_name = join.station_name
         # What a station says of itself counts beside its token: nobody drives as another one.
-        client.driver = f"{client.token_id} {join.station_id}" if join.station_id else f"connection {client.id}"
-        self.desk.join(client.id, client.driver)
+        if join.station_id:
+            self.desk.join(client.id, f"{client.token_id} {join.station_id}")
         client.knows_calibration_changed = join.knows_calibration_changed
         client.put(Welcome(client_id=client.id))
         client.put(self._drive_report(self._applied()))
@@ -428,15 +428,14 @@ class RobotServer:
                 client.put(message)
 
     def _status_for(self, client: StationClient) -> Status:
-        battery = self._read_battery()
         now_ns = self._now_ns()
-        driving = self.desk.lease.driver(now_ns)
-        driver = next((c for c in self._clients.values() if c.driver == driving), None)
+        voltage_v, fraction = read_battery(self._devices.battery, self.faults)
+        driver = next((c for c in self._clients.values() if self.desk.is_driven_by(c.id, now_ns)), None)
         return Status(
             t_robot_ns=self._devices.clock(),
             uptime_s=(now_ns - self._started_ns) * 1e-9,
-            battery_v=battery[0],
-            battery_fraction=battery[1],
+            battery_v=voltage_v,
+            battery_fraction=fraction,
             temperatures_c=read_temperatures(),
             cpu_percent=self._cpu.percent(),
             frames_captured=self._frames.count,
@@ -447,22 +446,11 @@ class RobotServer:
             messages_dropped=client.messages_dropped,
             stations=sum(c.is_joined for c in self._clients.values()),
             driver=driver.station_name if driver is not None else None,
-            you_drive=driving is not None and client.driver == driving,
+            you_drive=self.desk.is_driven_by(client.id, now_ns),
             watchdog_stops=0 if self.watchdog is None else self.watchdog.stops,
             commands_refused=self.desk.refused,
             faults=self.faults.sentences(),
         )
-
-    def _read_battery(self) -> tuple[float | None, float | None]:
-        if self._devices.battery is None:
-            return None, None
-        try:
-            state = self._devices.battery.read()
-        except HardwareError as exc:
-            self.faults.set("battery", f"battery: {exc}")
-            return None, None
-        self.faults.clear("battery")
-        return state.voltage_v, state.fraction
 
 
 def _rank(client: StationClient) -> Rank:

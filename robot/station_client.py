@@ -63,7 +63,6 @@ class StationClient:
         self.id = client_id
         self.caller = caller
         self.station_name = ""
-        self.driver = ""  # who drives when it does: a station, whichever of its connections it speaks by
         self.knows_calibration_changed = False
         self._peer = writer.get_extra_info("peername") or ("?", 0)  # asyncio forgets it when TLS ends
         self.address = str(self._peer[0])

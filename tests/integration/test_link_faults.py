@@ -140,3 +140,28 @@ async def test_silence_without_a_way_around_it_costs_no_connection() -> None:
         bench.imu.inject(5)
         await until(lambda: is_gapless(notes, 210))
         assert len(notes.hellos) == 1 and notes.reasons == []
+
+
+async def test_a_station_drives_on_over_a_new_connection_where_it_says_its_own_stop_again() -> None:
+    """It let go, pressed again, and hears nothing by the old connection, by which it still drives."""
+    async with running_robot() as bench:
+        proxy = FaultProxy(bench.port, seed=1)
+        await proxy.mend()
+        try:
+            async with linked(proxy.port) as (link, notes):
+
+                async def hold() -> None:
+                    while True:
+                        link.commands.drive(0.1, 0.0, 250)
+                        await asyncio.sleep(0.02)
+
+                holding = asyncio.create_task(hold())
+                await until(lambda: bench.motors.history and not bench.motors.are_off)
+                proxy.mute()
+                link.commands.stop(until_confirmed=True)
+                await until(lambda: len(notes.hellos) == 2 and not link.commands.awaits_stop)
+                await until(lambda: bench.motors.are_off is False)
+                assert bench.server.desk.refused == 0
+                holding.cancel()
+        finally:
+            await proxy.close()

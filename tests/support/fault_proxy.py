@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import random
 import socket
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -30,6 +29,7 @@ class _Wire:
 
     ends: tuple[asyncio.StreamWriter, asyncio.StreamWriter]
     is_dead: bool = False  # carries nothing any more, not even an end
+    is_mute: bool = False  # the robot hears the station, and not the other way
     directions_ended: int = 0
 
 
@@ -100,6 +100,14 @@ class FaultProxy:
         for wire in self._wires:
             wire.is_dead = True
 
+    def mute(self) -> None:
+        """The connections there are bring the station nothing any more; what it says still comes, and new ones work.
+
+        When it leaves one of them, the robot is not told: so it is while a network has still to carry what came before.
+        """
+        for wire in self._wires:
+            wire.is_mute = True
+
     def stall(self) -> None:
         """Bytes stay where they are, connections live."""
         self._flows.clear()
@@ -124,18 +132,18 @@ class FaultProxy:
         self._writers.add(robot_writer)
         wire = _Wire((writer, robot_writer))
         self._wires.add(wire)
-        self._relay(wire, reader, robot_writer, lambda: self.faults["to robot"])
-        self._relay(wire, robot_reader, writer, lambda: self.faults["to station"])
+        self._relay(wire, reader, robot_writer, "to robot")
+        self._relay(wire, robot_reader, writer, "to station")
 
     def _relay(
         self,
         wire: _Wire,
         source: asyncio.StreamReader,
         sink: asyncio.StreamWriter,
-        faults: Callable[[], Faults],
+        way: Direction,
     ) -> None:
         queue: asyncio.Queue[tuple[float, bytes] | None] = asyncio.Queue(maxsize=64)
-        for coroutine in (self._read(wire, source, queue, faults), self._write(wire, sink, queue, faults)):
+        for coroutine in (self._read(wire, source, queue, way), self._write(wire, sink, queue, way)):
             task = asyncio.create_task(coroutine)
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
@@ -145,13 +153,14 @@ class FaultProxy:
         wire: _Wire,
         source: asyncio.StreamReader,
         queue: asyncio.Queue[tuple[float, bytes] | None],
-        faults: Callable[[], Faults],
+        way: Direction,
     ) -> None:
         loop = asyncio.get_running_loop()
         try:
             while data := await source.read(CHUNK):
-                now = faults()
-                if now.is_swallowed or wire.is_dead or wire.directions_ended:
+                now = self.faults[way]
+                is_unheard = wire.is_mute and way == "to station"
+                if now.is_swallowed or is_unheard or wire.is_dead or wire.directions_ended:
                     continue
                 if now.garbage and self._random.random() < now.garbage:
                     data = self._spoilt(data)
@@ -165,7 +174,7 @@ class FaultProxy:
         wire: _Wire,
         sink: asyncio.StreamWriter,
         queue: asyncio.Queue[tuple[float, bytes] | None],
-        faults: Callable[[], Faults],
+        way: Direction,
     ) -> None:
         loop = asyncio.get_running_loop()
         try:
@@ -174,7 +183,8 @@ class FaultProxy:
                 await asyncio.sleep(max(0.0, due_s - loop.time()))
                 await self._flows.wait()
                 while data:
-                    rate = faults().bytes_per_s  # looked at again and again: it may be healed in the middle of a piece
+                    # Looked at again and again: it may be healed in the middle of a piece.
+                    rate = self.faults[way].bytes_per_s
                     step = max(1, int(rate / 50)) if rate else len(data)
                     sink.write(data[:step])
                     await sink.drain()
@@ -191,7 +201,7 @@ class FaultProxy:
     def _end(self, wire: _Wire, sink: asyncio.StreamWriter) -> None:
         """One direction is over. A dead wire tells nobody until both ends have gone by themselves."""
         wire.directions_ended += 1
-        if not wire.is_dead:
+        if not wire.is_dead and not wire.is_mute:
             sink.transport.abort()
         if wire.directions_ended == 2:
             for end in wire.ends:
