@@ -143,5 +143,5 @@ def start(work: Callable[[Child], None], seed: int) -> Working:
     os.close(writing)
     working = Working(pid, reading)
     assert working.wait(lambda: bool(working.promises), STUCK_S), "the child did not begin"
-    working.promises.clear()
+    del working.promises[0]  # of a machine that is busy the first real ones may have come with it
     return working
