@@ -14,7 +14,7 @@ export class LastChange {
   private map: string | null = null;
   private changes: PlacesChangeModel[] = []; // newest first
   private making: Making | null = null;
-  private isTakingBack = false;
+  private readonly beingTakenBack = new Set<string>();
   private readonly list = new Refresh(() => this.read());
 
   constructor() {
@@ -69,10 +69,11 @@ export class LastChange {
     } else if (newest) attempt(() => this.takeBack(newest));
   }
 
-  /** Just this one; whether that was done. A second press, before the list says what is the newest then, does nothing. */
+  /** Just this one; whether that was done. A second press does nothing until the list says what is the newest then. */
   private async takeBack(change: PlacesChangeModel): Promise<boolean> {
-    if (this.isTakingBack) return false;
-    this.isTakingBack = true;
+    const key = `${change.map} ${change.version}`;
+    if (this.beingTakenBack.has(key)) return false;
+    this.beingTakenBack.add(key);
     try {
       await call("POST", "/places/undo", { version: change.version, map: change.map });
       await this.list.ask();
@@ -85,7 +86,7 @@ export class LastChange {
       else this.tellWhatCameBetween(change);
       return false;
     } finally {
-      this.isTakingBack = false;
+      this.beingTakenBack.delete(key);
     }
   }
 
