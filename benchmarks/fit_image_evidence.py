@@ -28,7 +28,7 @@ from station.places.tracking.config import BeliefConfig
 from station.places.tracking.fitted import GENERATED, FailureOdds, FittedOdds, RecognisedOdds, Usual
 from station.places.tracking.image_evidence import ImageEvidence
 from station.places.tracking.map_view import MapView
-from station.places.tracking.own_pictures import RIGHT_M, Judged, judged, own_log_odds
+from station.places.tracking.own_pictures import RIGHT_M, Judged, fitted_to_own, judged, own_log_odds
 from tests.support.drives.judging import where_taken
 from tests.support.drives.recorded import LookedAt, generator_of
 from tests.support.likelihood_fit import (
@@ -143,16 +143,17 @@ def fit(rows: list[dict[str, Any]], worlds: list[str], own: dict[str, OwnPicture
 def fitted_with_own(rows: list[dict[str, Any]], own: dict[str, OwnPictures], usual: Usual) -> tuple[Fit, float]:
     """Which pose is right, and what own pictures have in common: in turn with what each map has of its own.
 
-    That has a mean of zero, every kind with the same weight: what all have in common is the constant's.
+    What explains own pictures has a mean of zero, every kind with the same weight: what all have in common is the
+    constant's. Maps add what is below it (`own_log_odds`).
     """
     found, tried = fitted_right(rows), 0.0
     kinds = [one.kind for one in own.values()]
     weight = [1.0 / kinds.count(kind) for kind in kinds]
     for _ in range(ROUNDS):
         odds = RecognisedOdds(*found.w.tolist())
-        values = [own_log_odds(one.pictures, odds, usual, tried) for one in own.values()]
+        values = [fitted_to_own(one.pictures, odds, usual, tried) for one in own.values()]
         mean = float(np.average(values, weights=weight))
-        by_world = {name: value - mean for name, value in zip(own, values, strict=True)}
+        by_world = {name: min(0.0, value - mean) for name, value in zip(own, values, strict=True)}
         tried += mean
         found = fitted_right([{**row, "own": by_world[row["world"]]} for row in rows])
     return found, tried

@@ -27,13 +27,22 @@ from station.demo.demo import (
     start_programs,
 )
 from station.demo.folder import fresh_folder
-from station.demo.judge import align_map, carried, is_right
+from station.demo.judge import MIN_RIGHT_OF_KNOWN, align_map, carried, is_right
 from station.demo.processes import Programs
 from tests.e2e.conftest import LAPTOP
 
 pytestmark = pytest.mark.slow
+NUM_SEEN, LOOK_EVERY_S = 40, 0.5
 MOVED_M = 0.15
 TURNED_RAD = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """What the page named, and where the robot truly was."""
+
+    name: str
+    position_true: FloatArray  # (3,) m, world
 
 
 @dataclass
@@ -48,12 +57,12 @@ class RealSystem:
         """T_world_body (4, 4), by the simulator."""
         return np.array(self.demo.simulator.ask(cmd="truth")["T_world_body"])
 
-    def is_right(self, place_name: str) -> bool:
-        """Whether the place of that name is the nearest to where the robot truly is."""
+    def right(self, seen: list[Seen]) -> list[bool]:
+        """Of each name whether it is that of the place nearest to where the robot truly was."""
         T_world_map = align_map(self.outcome.map_trajectory, self.demo.simulator.truth_log()).T_target_source
         centroids_true = carried(centroids(self.outcome.places), T_world_map)
-        named = [p["id"] for p in self.outcome.places if p["name"] == place_name]
-        return len(named) == 1 and is_right(named[0], centroids_true, self.true_pose()[:3, 3])
+        by_name = {p["name"]: p["id"] for p in self.outcome.places}
+        return [one.name in by_name and is_right(by_name[one.name], centroids_true, one.position_true) for one in seen]
 
 
 @pytest.fixture(scope="module")
@@ -96,22 +105,31 @@ async def test_the_page_shows_the_place_where_the_joystick_has_driven_the_robot(
     page = await context.new_page()
     await page.goto(system.demo.station.address)
     await asyncio.to_thread(hijack, system.demo)
-    await drive_by_joystick(page, system)
-    name = await (await page.wait_for_function(KNOWN_PLACE)).json_value()
-    assert await asyncio.to_thread(system.is_right, name), f"the page says {name}"
+    seen = await drive_by_joystick(page, system)
+    right = await asyncio.to_thread(system.right, seen)
+    told = "; ".join(f"{one.name} {'right' if r else 'wrong'}" for one, r in zip(seen, right, strict=True))
+    assert np.mean(right) >= MIN_RIGHT_OF_KNOWN and right[-1], told
     await context.close()
 
 
-async def drive_by_joystick(page: Page, system: RealSystem) -> None:
-    """Hold the joystick forward and aside until the robot has truly moved, then aside until it knows where it is."""
+async def drive_by_joystick(page: Page, system: RealSystem) -> list[Seen]:
+    """Hold the joystick forward and aside until the robot has truly moved, then aside; the places the page named.
+
+    Several are judged, as the demo's: of one alone, looked at in the moment it is named, one in fifty may be wrong.
+    """
     await page.wait_for_selector("#video[data-seq]")
     begin = await asyncio.to_thread(system.true_pose)
     while not has_moved(begin, await asyncio.to_thread(system.true_pose)):
         await hold(page, -40, -40)
     await page.mouse.up()
-    while await page.locator("#place").get_attribute("data-state") != "known":
+    seen: list[Seen] = []
+    while len(seen) < NUM_SEEN:
         await hold(page, -40, 0)
+        if (name := await page.evaluate(KNOWN_PLACE)) is not None:
+            seen.append(Seen(name, (await asyncio.to_thread(system.true_pose))[:3, 3]))
+        await asyncio.sleep(LOOK_EVERY_S)
     await page.mouse.up()
+    return seen
 
 
 async def hold(page: Page, right_px: int, down_px: int) -> None:

@@ -52,10 +52,18 @@ def judged(view: MapView, tried: Sequence[TriedPicture]) -> list[Judged]:
 
 
 def own_log_odds(pictures: Sequence[Judged], right: RecognisedOdds, usual: Usual, tried: float) -> float:
-    """What a map adds to the fitted log odds of poses: what explains its pictures best; 0 without any.
+    """What a map adds to the fitted log odds of poses: never more than 0.
+
+    That much looks alike its pictures show. That little does they do not: they look from where the map was made, and a
+    robot that is put down somewhere looks from other sides, at less of what it knows.
 
     `right`, `usual`, `tried`: as in `FittedOdds`.
     """
+    return min(0.0, fitted_to_own(pictures, right, usual, tried))
+
+
+def fitted_to_own(pictures: Sequence[Judged], right: RecognisedOdds, usual: Usual, tried: float) -> float:
+    """What, added to the fitted log odds of poses, explains a map's pictures best; 0 without any."""
     rows = [np.array([log_odds(right, f.or_usual(usual)) for f in one.figures]) for one in pictures]
 
     def misfit(own: float) -> float:

@@ -48,6 +48,10 @@ def test_a_view_with_next_to_nothing_in_it_has_finite_odds() -> None:
     assert 0.0 < failure_probability(ODDS.fails_at_pose, 0, 1.0, 0.0) < 1.0
 
 
+def test_no_more_can_be_recognised_than_is_in_view() -> None:
+    assert support(49.0, 0.0) == support(100.0, 100.0) == 1.0 > support(49.0, 60.0)
+
+
 @given(features=st.integers(60, 800), before=st.sampled_from([0.0, 0.5, 1.0]))
 def test_a_failure_speaks_for_a_room_that_no_map_knows_and_against_a_known_view(features: int, before: float) -> None:
     at_pose, in_map, unmapped = (

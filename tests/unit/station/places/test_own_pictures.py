@@ -15,15 +15,18 @@ from station.places.tracking.belief import Belief
 from station.places.tracking.current import CurrentPlaceEstimator
 from station.places.tracking.image_evidence import MatchFigures
 from station.places.tracking.map_view import MapView
-from station.places.tracking.own_pictures import Judged, judged, own_log_odds
+from station.places.tracking.own_pictures import Judged, fitted_to_own, judged, own_log_odds
 from tests.support.places import CONFIG, ODDS, make_map, pose, seen
 
 FIGURES = MatchFigures(extent_m=0.2, inliers=40, support=0.2, features=400, off_floor=1.0, is_free=True)
 
 
+def pictures_of(right: int, wrong: int) -> list[Judged]:
+    return [Judged((FIGURES,), 0)] * right + [Judged((FIGURES,), None)] * wrong
+
+
 def own(right: int, wrong: int, tried: float = 0.0) -> float:
-    pictures = [Judged((FIGURES,), 0)] * right + [Judged((FIGURES,), None)] * wrong
-    return own_log_odds(pictures, ODDS.right, ODDS.usual, tried)
+    return fitted_to_own(pictures_of(right, wrong), ODDS.right, ODDS.usual, tried)
 
 
 @given(right=st.integers(0, 60), wrong=st.integers(0, 60))
@@ -33,6 +36,11 @@ def test_more_wrong_poses_make_every_pose_of_the_map_less_likely(right: int, wro
 
 def test_a_map_without_pictures_is_like_those_that_the_odds_were_fitted_to() -> None:
     assert own(0, 0) == 0.0
+
+
+def test_pictures_that_are_all_right_make_no_pose_likelier() -> None:
+    assert own_log_odds(pictures_of(90, 0), ODDS.right, ODDS.usual, 0.0) == 0.0 < own(90, 0)
+    assert own_log_odds(pictures_of(0, 90), ODDS.right, ODDS.usual, 0.0) == own(0, 90) < 0.0
 
 
 def test_few_pictures_say_less_than_many() -> None:
