@@ -32,7 +32,7 @@ from tests.support.stopping import firmware as stop_firmware
 from tests.support.stopping import report as stop_report
 from tests.support.stopping.chain import Chain, LineEntry
 from tests.support.stopping.faults import FAULTS, Fault, Instant
-from tests.support.stopping.report import PINS_BOUND_MS, SERVER_BOUND_MS, Judged, started_at_us, was_stopped
+from tests.support.stopping.report import PINS_BOUND_MS, SERVER_BOUND_MS, Judged, started_at_us, was_stopped, written_ns
 
 GIVE_UP_S = 3.0  # all waits are in the Mega's time
 HELD_S = 0.3  # the joystick is still held after the stop
@@ -78,7 +78,7 @@ def pins_ms(fault: Fault, instant: Instant, events: list[BoardEvent], log: list[
     deciding, what = (stops[0], "stop") if stops else (drives[-1], "drive")
     written = [entry.after_ns for entry in log if entry.what == what and entry.before_ns <= deciding.t_ns]
     if what == "stop" and (stop := server_stop(log)) is not None:
-        written = [stop.after_ns]
+        written = [written_ns(stop, events)]
     linux_ns = max(0, written[-1] - instant.since_ns) if written else deciding.t_ns - instant.since_ns
     return linux_ns * 1e-6 + (zero.t_mega_us - deciding.t_mega_us) / 1000
 
@@ -117,7 +117,7 @@ async def trial(chain: Chain, fault: Fault, rng: random.Random) -> Judged:
         started = instant.moved
     return Judged(
         fault.name,
-        server_ms=None if stop is None else max(0.0, (stop.after_ns - instant.since_ns) * 1e-6),
+        server_ms=None if stop is None else max(0.0, (written_ns(stop, events) - instant.since_ns) * 1e-6),
         pins_ms=None if zero is None else pins_ms(fault, instant, events, log, zero),
         pins_wall_ms=None if zero is None else (zero.t_ns - instant.since_ns) * 1e-6,
         started=started,

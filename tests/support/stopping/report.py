@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from robot.devices.emulated.board import BoardEvent
+from tests.support.stopping.chain import LineEntry
 
 SERVER_BOUND_MS, PINS_BOUND_MS = 300.0, 500.0
 
@@ -122,6 +123,14 @@ def verdict(results: list[Judged]) -> str:
         f" {PINS_BOUND_MS:.0f} ms at the pins, {sum(bool(r.started) for r in judged)} started a motor,"
         f" {sum(r.never_stopped for r in judged)} never stopped."
     )
+
+
+def written_ns(stop: LineEntry, events: list[BoardEvent]) -> int:
+    """When a stop had left robot-server at the latest: what the Mega has is written, however late the stamp is.
+
+    On a busy PC a process may wait for a core between its writing and its stamp.
+    """
+    return min([stop.after_ns, *(e.t_ns for e in events if e.text == "in 11" and e.t_ns >= stop.before_ns)])
 
 
 def was_stopped(events: Iterable[BoardEvent], since_us: int, until_us: int) -> bool:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from robot.devices.emulated.board import BoardEvent
-from tests.support.stopping.report import Judged, refusals, started_at_us, was_stopped
+from tests.support.stopping.chain import LineEntry
+from tests.support.stopping.report import Judged, refusals, started_at_us, was_stopped, written_ns
 
 GOOD = Judged("page closed", server_ms=200.0, pins_ms=250.0, commit="a")
 
@@ -36,3 +37,10 @@ def test_motors_that_a_busy_computer_stopped_before_a_fault_are_told_from_those_
     assert not was_stopped(events, 10, 29)
     assert not was_stopped(events, 30, 40)
     assert was_stopped([BoardEvent(15, 15000, "pins 0 0")], 10, 20)
+
+
+def test_a_stop_that_the_mega_has_taken_in_was_written_before() -> None:
+    stop = LineEntry(before_ns=100, after_ns=160, what="stop")
+    earlier, drive, taken = BoardEvent(1, 90, "in 11"), BoardEvent(2, 105, "in 10"), BoardEvent(3, 120, "in 11")
+    assert written_ns(stop, [earlier, drive]) == 160
+    assert written_ns(stop, [earlier, drive, taken]) == 120
