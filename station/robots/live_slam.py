@@ -11,7 +11,7 @@ from shared.geometry import FloatArray, IntArray, transform
 from station.model.navigation import Navigation, Trajectory
 from station.model.slam_update import SlamUpdate, TrackingState
 
-MAX_LIVE_POINTS = 100_000  # of a running navigation: 2.3 MB
+MAX_LIVE_POINTS = 100_000  # of a running navigation: 3.1 MB
 MAX_FINISHED_POINTS = 2_000_000
 # Finer than anybody sees: of a flat of 10 m that fills the page a pixel is 1 cm and a point two pixels wide, and the
 # page's line of the way has steps of 2 cm. Where the scale is arbitrary it is so many units.
@@ -31,7 +31,9 @@ class PointBuffer:
         # Filled: what is only reserved would grow with its use.
         self._p: npt.NDArray[np.float32] = np.full((max_points, 3), 0.0, np.float32)
         self._rgb: npt.NDArray[np.uint8] = np.full((max_points, 3), 0, np.uint8)
-        self._cells: IntArray = np.full(max_points, 0)  # of all points, ascending
+        # Of all points, ascending. More are merged into the other array: temporary ones would grow with the number.
+        self._cells: IntArray = np.full(max_points, 0)
+        self._other_cells: IntArray = np.full(max_points, 0)
         self._cell = cell
         self._count = 0
         self.renumbered = 0  # how often points were left out that had numbers
@@ -57,10 +59,18 @@ class PointBuffer:
             new, cells = self._new(p)
         end = self._count + len(new)
         self._p[self._count : end], self._rgb[self._count : end] = p[new], rgb[new]
-        at = np.searchsorted(self._cells[: self._count], cells)
-        self._cells[:end] = np.insert(self._cells[: self._count], at, cells)
+        self._merge(cells)
         self._count = end
         return len(new)
+
+    def _merge(self, cells: IntArray) -> None:
+        """Among the cells of all points, these, ascending."""
+        known, end = self._cells[: self._count], self._count + len(cells)
+        is_known = np.full(end, fill_value=True)
+        is_known[np.searchsorted(known, cells) + np.arange(len(cells))] = False
+        self._other_cells[:end][is_known] = known
+        self._other_cells[:end][~is_known] = cells
+        self._cells, self._other_cells = self._other_cells, self._cells
 
     def since(self, first: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8]]:
         """Copies of the points from number `first` on."""
@@ -78,7 +88,8 @@ class PointBuffer:
         cells, first = np.unique(self._cells_of(p), return_index=True)
         known = self._cells[: self._count]
         at = np.searchsorted(known, cells)
-        is_new = np.append(known, -1)[at] != cells
+        is_new = at == len(known)
+        is_new[~is_new] = known[at[~is_new]] != cells[~is_new]
         return np.sort(first[is_new]), cells[is_new]
 
     def _thin_out(self) -> None:
