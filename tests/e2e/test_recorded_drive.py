@@ -23,6 +23,7 @@ from tests.support.paths import RECORDINGS
 
 pytestmark = [pytest.mark.computing, pytest.mark.slow]
 DRIVEN_S = {"mapping": 30.0, "local": 20.0}  # through the first room and into the next; once more through the first
+CAMERA_HZ = 12.0  # of the robot's 20: enough to follow it, and each costs a picture drawn and a step of SLAM
 
 
 def truth_of(data: Dataset) -> Trajectory:
@@ -51,10 +52,10 @@ def test_places_of_a_real_kitchen_are_named_right_when_somebody_passes_again() -
     assert len(right) >= 5 and all(right), [answer.reason for answer in answers]
 
 
-def test_places_of_a_simulated_flat_are_named_right_on_the_second_drive(tmp_path: Path) -> None:
-    world, config = make_world("small", 1), SimulationConfig()
+def test_places_of_a_simulated_flat_are_named_right_on_the_second_drive(tmp_path: Path, textures: Path) -> None:
+    world, config = make_world("small", 1), SimulationConfig(camera_rate_hz=CAMERA_HZ)
     for number, (kind, seconds) in enumerate(DRIVEN_S.items()):
-        record_drive(world, plan_route(world, kind), config, number, tmp_path / kind, max_duration_s=seconds)
+        record_drive(world, plan_route(world, kind), config, number, tmp_path / kind, textures, max_duration_s=seconds)
     mapped, again = open_dataset(tmp_path / "mapping"), open_dataset(tmp_path / "local")
     with repeatable(1):
         navigation, _ = follow(mapped, ReplayOptions("ukf"))

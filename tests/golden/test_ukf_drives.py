@@ -34,13 +34,14 @@ from station.slam.ukf.backend import UkfBackend
 from station.slam.ukf.monitor import CONTRADICTION, TrackingMonitor
 
 DARK_AFTER_NS, DARK_NS = 8 * 10**9, 2 * 10**9  # under a hand, after which tracking is lost
+CAMERA_HZ = 12.0  # of the robot's 20: enough to follow it
 LATER_MS = 110.0  # in the order of the stamps this drive is lost; 20 ms after them it would be borne
 
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("drive")
-    (folder / "built.toml").write_text(f"[build]\ntime_shift_ms = {LATER_MS}\n")
+    (folder / "built.toml").write_text(f"camera_rate_hz = {CAMERA_HZ}\n[build]\ntime_shift_ms = {LATER_MS}\n")
     where = ["--world", "small", "--seed", "11", "--route", "mapping", "--max-duration", "20"]
     out = folder / "drive"
     result = CliRunner().invoke(app, ["dataset", *where, "--config", str(folder / "built.toml"), "--out", str(out)])

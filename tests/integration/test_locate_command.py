@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,9 @@ from station.main import app
 from station.maps.folder import load_map_folder, save_map_folder
 from station.maps.store import MapStore
 from station.model.frames import ImuBatch
+from station.model.place_map import PlaceMap
+from station.places.localisation.make_index import make_index
+from station.places.localisation.map_index import MapIndex, fingerprint
 from station.places.making.build import build_map
 from station.places.making.changes import with_place_hidden
 from station.places.tracking import current
@@ -57,6 +60,22 @@ def locate(*arguments: str | Path) -> Result:
 
 def answers_in(out: Path) -> list[dict[str, object]]:
     return [json.loads(line) for line in (out / "answers.jsonl").read_text().splitlines()]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def indexes() -> Iterator[None]:
+    """The pictures of a map are described and tried once, not by each command that asks in it: a second of each."""
+    made: dict[str, MapIndex] = {}
+
+    def once(place_map: PlaceMap) -> MapIndex:
+        key = fingerprint(place_map)
+        if key not in made:
+            made[key] = make_index(place_map)
+        return made[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("station.workers.places.make_index", once)
+        yield
 
 
 @pytest.fixture(scope="module")
