@@ -12,7 +12,6 @@ from shared.geometry import FloatArray, IntArray, inverse, se3, skew, so3_exp, t
 
 RANSAC_ITERATIONS = 400
 RANSAC_CONFIDENCE = 0.999
-SEARCHES = 3
 REFINE_ROUNDS = 8
 
 
@@ -36,46 +35,19 @@ class CameraPose:
 def solve_pose(p_map: FloatArray, rays: FloatArray, tolerance: float) -> CameraPose | None:
     """Pose that most matches agree on, or None.
 
-    Three matches of a small thing are so near each other that a pixel turns the camera about it by tens of degrees, and
-    many of the others agree with that within the tolerance. Where such a draw was the best, refinement does not leave
-    it; so there are several searches, each is refined, and then they are compared.
-
     Args:
         p_map: (n, 3) map points.
         rays: (n, 2) normalised coordinates they were seen at.
         tolerance: of a match that agrees, normalised coordinates (pixels over focal length).
     """
-    if len(p_map) < 6:
-        return None
-    drawn = [_drawn_pose(p_map, rays, tolerance, seed) for seed in range(1, SEARCHES + 1)]
-    refined = [solve_pose_from(T, p_map, rays, tolerance) for T in drawn if T is not None]
-    return max((pose for pose in refined if pose is not None), key=lambda pose: pose.num_inliers, default=None)
-
-
-def _drawn_pose(p_map: FloatArray, rays: FloatArray, tolerance: float, seed: int) -> FloatArray | None:
-    """T_map_cam (4, 4) of one search; other seeds draw other matches.
-
-    Source: OpenCV's USAC (Raguram et al., PAMI 2013), as plain RANSAC over three points whose score is the truncated
-    error (MSAC; Torr and Zisserman, CVIU 2000). It takes a third of the time of `pose_by_ransac`, which draws the same
-    matches whatever the seed.
-    """
-    c = cv2.UsacParams()
-    c.confidence, c.maxIterations, c.threshold = RANSAC_CONFIDENCE, RANSAC_ITERATIONS, tolerance
-    c.score, c.sampler, c.loMethod = cv2.SCORE_METHOD_MSAC, cv2.SAMPLING_UNIFORM, cv2.LOCAL_OPTIM_NULL
-    c.randomGeneratorState, c.isParallel = seed, False
-    try:
-        found, _, rotation, translation, inliers = cv2.solvePnPRansac(
-            np.ascontiguousarray(p_map), np.ascontiguousarray(rays), np.eye(3), np.zeros(4), params=c
-        )
-    except cv2.error:  # no draw gave a pose
-        return None
-    return _map_pose(rotation, translation) if found and inliers is not None else None
+    found = pose_by_ransac(p_map, rays, tolerance, RANSAC_ITERATIONS, seed=1) if len(p_map) >= 6 else None
+    return None if found is None else solve_pose_from(found[0], p_map, rays, tolerance)
 
 
 def pose_by_ransac(
     p_map: FloatArray, rays: FloatArray, tolerance: float, iterations: int, seed: int
 ) -> tuple[FloatArray, IntArray] | None:
-    """T_map_cam (4, 4) that most matches agree on, and which do; None without such a pose.
+    """T_map_cam (4, 4) that most matches agree on, as `solve_pose` has them, and which do; None without such a pose.
 
     Source: AP3P (Ke and Roumeliotis, CVPR 2017) in RANSAC, by OpenCV; its random numbers are seeded per call.
     """
@@ -92,15 +64,9 @@ def pose_by_ransac(
     )
     if not found or inliers is None:
         return None
-    T_map_cam = _map_pose(rotation, translation)
-    return None if T_map_cam is None else (T_map_cam, np.asarray(inliers, dtype=np.int64).ravel())
-
-
-def _map_pose(rotation: cv2.typing.MatLike, translation: cv2.typing.MatLike) -> FloatArray | None:
-    """T_map_cam (4, 4) of what OpenCV found; None where it is no pose."""
     R = np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64)
     T_cam_map = se3(R, np.asarray(translation, dtype=np.float64).ravel())
-    return inverse(T_cam_map) if np.isfinite(T_cam_map).all() else None
+    return (inverse(T_cam_map), np.asarray(inliers, dtype=np.int64).ravel()) if np.isfinite(T_cam_map).all() else None
 
 
 def solve_pose_from(T_map_cam: FloatArray, p_map: FloatArray, rays: FloatArray, tolerance: float) -> CameraPose | None:
