@@ -17,6 +17,8 @@ MAX_FINISHED_POINTS = 2_000_000
 # page's line of the way has steps of 2 cm. Where the scale is arbitrary it is so many units.
 LIVE_CELL_M = 0.02
 MAX_LIVE_POSES = 20_000  # the most that GET /trajectory gives
+# Points or poses, when some are left out: of all of them at once, the allocator would keep 2 MB of temporary arrays.
+AT_A_TIME = 4096
 _CELLS_ASIDE = 2**20  # of a cell's three numbers: they share one of 63 bits. That is 20 km
 
 
@@ -57,11 +59,15 @@ class PointBuffer:
         while self._count + len(new) > len(self._p):
             self._thin_out()
             new, cells = self._new(p)
+        self._put(p, rgb, new, cells)
+        return len(new)
+
+    def _put(self, p: npt.NDArray[np.float32], rgb: npt.NDArray[np.generic], new: IntArray, cells: IntArray) -> None:
+        """Behind the others, what `_new` says of these points."""
         end = self._count + len(new)
         self._p[self._count : end], self._rgb[self._count : end] = p[new], rgb[new]
         self._merge(cells)
         self._count = end
-        return len(new)
 
     def _merge(self, cells: IntArray) -> None:
         """Among the cells of all points, these, ascending."""
@@ -94,15 +100,18 @@ class PointBuffer:
 
     def _thin_out(self) -> None:
         self.renumbered += 1
+        self._widen()
+        while self._count > max(1, len(self._p) // 2):
+            self._widen()
+
+    def _widen(self) -> None:
+        """Twice as wide cells; the points are put in anew, in place."""
         self._cell *= 2.0
-        cells, first = np.unique(self._cells_of(self._p[: self._count]), return_index=True)
-        while len(cells) > max(1, len(self._p) // 2):
-            self._cell *= 2.0
-            cells, first = np.unique(self._cells_of(self._p[: self._count]), return_index=True)
-        kept = np.sort(first)
-        self._count = len(kept)
-        self._p[: self._count], self._rgb[: self._count] = self._p[kept], self._rgb[kept]
-        self._cells[: self._count] = cells
+        count, self._count = self._count, 0
+        for begin in range(0, count, AT_A_TIME):
+            part = slice(begin, min(begin + AT_A_TIME, count))
+            p, rgb = self._p[part].copy(), self._rgb[part].copy()
+            self._put(p, rgb, *self._new(p))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,10 +153,12 @@ class LivePath:
         return Trajectory(np.append(times, self.newest.t_robot_ns), np.concatenate([poses, [self.newest.T_world_body]]))
 
     def _thin_out(self) -> None:
-        kept = slice(None, None, 2)
-        self._count = len(self._t_robot_ns[kept])
-        self._t_robot_ns[: self._count] = self._t_robot_ns[kept].copy()
-        self._T_world_body[: self._count] = self._T_world_body[kept].copy()
+        self._count = (len(self._t_robot_ns) + 1) // 2
+        for begin in range(0, self._count, AT_A_TIME // 2):
+            end = min(begin + AT_A_TIME // 2, self._count)
+            kept = slice(2 * begin, 2 * end, 2)
+            self._t_robot_ns[begin:end] = self._t_robot_ns[kept].copy()
+            self._T_world_body[begin:end] = self._T_world_body[kept].copy()
         self._step *= 2
 
 

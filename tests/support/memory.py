@@ -19,3 +19,14 @@ def grown_bytes(warm_up: Callable[[], object], act: Callable[[], object]) -> int
         return tracemalloc.get_traced_memory()[0] - before
     finally:
         tracemalloc.stop()
+
+
+def peak_bytes(act: Callable[[], object]) -> int:
+    """How much memory of Python's objects, arrays too, `act` takes at most beyond what there was before."""
+    tracemalloc.start()
+    try:
+        before, _ = tracemalloc.get_traced_memory()
+        act()
+        return tracemalloc.get_traced_memory()[1] - before
+    finally:
+        tracemalloc.stop()

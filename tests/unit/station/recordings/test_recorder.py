@@ -22,6 +22,7 @@ import station.recordings.recorder
 from shared.calibration import REFERENCE_HEAD, REFERENCE_ROBOT
 from shared.errors import DataError
 from shared.mcap_recording import IMAGE_TOPIC, IMU_TOPIC
+from shared.message_codec import decode_robot_message, encode_message
 from shared.messages import (
     CameraFrame,
     Depth,
@@ -201,6 +202,22 @@ def test_a_disk_that_is_too_far_behind_still_gets_what_was_accepted(
         reader = make_reader(file)
         assert reader.get_summary() is not None
         assert sum(1 for _ in reader.iter_messages(topics=[IMU_TOPIC])) >= 190
+
+
+def test_what_waits_for_a_disk_is_packed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    disk_works = late_disk(monkeypatch)
+    recorder = Recorder(tmp_path / "d.mcap", min_free_bytes=0)
+
+    def record(count: int) -> None:
+        for n in range(count):
+            samples = decode_robot_message(encode_message(batch(3 * n, 3)))
+            assert isinstance(samples, ImuBatch)
+            recorder.on_imu(samples)
+            recorder.on_command("page", 0.1, -0.2, n)
+
+    assert grown_bytes(lambda: record(10), lambda: record(1000)) < 1_000_000
+    disk_works.set()
+    assert recorder.close().messages == 4 * 1010
 
 
 def test_a_write_error_of_another_kind_is_told_too(

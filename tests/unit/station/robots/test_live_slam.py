@@ -4,13 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import station.robots.live_slam
 from shared.geometry import FloatArray
 from station.model.slam_update import SlamUpdate
-from station.robots.live_slam import LIVE_CELL_M, MAX_LIVE_POSES, LivePath, LivePose, LiveSlam, PointBuffer
-from tests.support.memory import grown_bytes
+from station.robots.live_slam import (
+    LIVE_CELL_M,
+    MAX_LIVE_POINTS,
+    MAX_LIVE_POSES,
+    LivePath,
+    LivePose,
+    LiveSlam,
+    PointBuffer,
+)
+from tests.support.memory import grown_bytes, peak_bytes
 
 
 def some_points(number: int, seed: int = 0) -> FloatArray:
@@ -65,6 +75,32 @@ def test_a_full_buffer_leaves_points_out_evenly_and_is_never_fuller(counts: list
     assert order == sorted(order)
     if len(every) > 8 * max_points:
         assert buffer.renumbered
+
+
+def test_points_and_poses_are_left_out_alike_however_many_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    left = []
+    for at_a_time in (4, 10, 10_000):
+        monkeypatch.setattr(station.robots.live_slam, "AT_A_TIME", at_a_time)
+        buffer, path = PointBuffer(100), LivePath(100)
+        buffer.add(some_points(90), grey(some_points(90)))
+        buffer.add(some_points(50, 1), grey(some_points(50, 1)))
+        for number in range(150):
+            path.add(pose(number))
+        assert buffer.renumbered == 1
+        way = path.trajectory()
+        left.append((buffer.since(0)[0].tolist(), way.t_robot_ns.tolist(), way.T_world_body.tolist()))
+    assert left[0] == left[1] == left[2]
+
+
+def test_leaving_points_and_poses_out_takes_little_memory_meanwhile() -> None:
+    buffer, path = PointBuffer(), LivePath()
+    apart = np.arange(MAX_LIVE_POINTS + 1)[:, None] * [0.1, 0.0, 0.0]
+    buffer.add(apart[:-1], grey(apart[:-1]))
+    last, colour = apart[-1:], grey(apart[-1:])
+    for number in range(MAX_LIVE_POSES):
+        path.add(pose(number))
+    assert peak_bytes(lambda: buffer.add(last, colour)) < 500_000 and buffer.renumbered
+    assert peak_bytes(lambda: path.add(pose(MAX_LIVE_POSES))) < 500_000 and len(path.trajectory()) < MAX_LIVE_POSES
 
 
 def test_where_nothing_is_known_is_not_a_point_and_far_away_is() -> None:
