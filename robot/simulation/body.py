@@ -7,7 +7,7 @@ them integrates back to the trajectory.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -181,12 +181,12 @@ class Body:
         y0 = (p.x, p.y, p.yaw, p.v, p.a, p.w, p.b, p.s)
         targets = self._targets()
         k1 = self._slope(y0, targets)
-        k2 = self._slope(tuple(y + 0.5 * h * k for y, k in zip(y0, k1, strict=True)), targets)
-        k3 = self._slope(tuple(y + 0.5 * h * k for y, k in zip(y0, k2, strict=True)), targets)
-        k4 = self._slope(tuple(y + h * k for y, k in zip(y0, k3, strict=True)), targets)
-        p.x, p.y, p.yaw, p.v, p.a, p.w, p.b, p.s = (
+        k2 = self._slope([y + 0.5 * h * k for y, k in zip(y0, k1, strict=True)], targets)
+        k3 = self._slope([y + 0.5 * h * k for y, k in zip(y0, k2, strict=True)], targets)
+        k4 = self._slope([y + h * k for y, k in zip(y0, k3, strict=True)], targets)
+        p.x, p.y, p.yaw, p.v, p.a, p.w, p.b, p.s = [
             y + h / 6 * (a + 2 * b + 2 * c + d) for y, a, b, c, d in zip(y0, k1, k2, k3, k4, strict=True)
-        )
+        ]
 
     def _targets(self) -> tuple[float, float]:
         """Speeds the wheels reach for the present command, slip included."""
@@ -198,7 +198,7 @@ class Body:
         yaw_efficiency = self._yaw_efficiency * (1.0 + self._parameters.yaw_waves * waves)
         return linear * self._parameters.linear_efficiency, angular * yaw_efficiency
 
-    def _slope(self, y: tuple[float, ...], targets: tuple[float, float]) -> tuple[float, ...]:
+    def _slope(self, y: Sequence[float], targets: tuple[float, float]) -> tuple[float, ...]:
         _x, _y, yaw, v, a, w, b, _s = y
         lag = self._parameters.lag_s
         lateral = (self._parameters.icr_offset_m if self._parameters.slip else 0.0) * w
@@ -221,8 +221,9 @@ class Body:
         self.is_blocked = push is not None
         if push is None:
             return
-        p.x, p.y = p.x + push[0], p.y + push[1]
-        nx, ny = push / max(1e-12, float(np.hypot(*push)))
+        nx, ny = (push / max(1e-12, float(np.hypot(*push)))).tolist()
+        push_x, push_y = push.tolist()  # NumPy's numbers would slow down all that is computed from them
+        p.x, p.y = p.x + push_x, p.y + push_y
         c, s = math.cos(p.yaw), math.sin(p.yaw)
         into = p.v * (c * nx + s * ny)  # speed along the outward normal; negative runs into the wall
         if into < 0:
@@ -275,18 +276,21 @@ class _Bumps:
         self._k = 2 * np.pi / np.array([0.65, 0.31, 0.17])  # rad/m
         share = np.array([0.6, 0.3, 0.12])
         amplitudes = np.array([parameters.heave_mm * 1e-3, *[math.radians(parameters.wobble_deg)] * 2])
-        self._amplitude = scale * amplitudes[:, None] * share  # (3 motions, 3 waves)
+        amplitude = scale * amplitudes[:, None] * share  # (3 motions, 3 waves)
         self._phase = rng.uniform(0, 2 * np.pi, (3, 3))
+        self._factors = np.stack([amplitude, amplitude * self._k, amplitude * self._k**2])
+        self._waves = np.empty((3, 3, 3))  # sine, cosine, sine
 
     def at(self, s: float, speed: float, speed_rate: float) -> list[tuple[float, float, float]]:
         """Value, rate and acceleration of heave (m), roll and pitch (rad)."""
-        argument = self._k * s + self._phase
-        sine, cosine = np.sin(argument), np.cos(argument)
-        value = (self._amplitude * sine).sum(1)
-        slope = (self._amplitude * self._k * cosine).sum(1)
-        bend = -(self._amplitude * self._k**2 * sine).sum(1)
-        rate, acceleration = slope * speed, bend * speed**2 + slope * speed_rate
-        return [(float(value[i]), float(rate[i]), float(acceleration[i])) for i in range(3)]
+        argument, waves = self._k * s + self._phase, self._waves
+        waves[2] = np.sin(argument, out=waves[0])
+        np.cos(argument, out=waves[1])
+        found = (self._factors * waves).sum(2).tolist()  # along the way: value, slope, and bend downwards
+        return [
+            (value, slope * speed, -bend * speed**2 + slope * speed_rate)
+            for value, slope, bend in zip(*found, strict=True)
+        ]
 
 
 def _minimum_jerk(f: float, duration: float) -> tuple[float, float, float]:
@@ -340,6 +344,7 @@ class _Carry:
         )
 
 
+ROUNDING_M = 1e-9  # far more than what it makes of a distance
 _CHUNK = 1024  # points per pass: keeps the arrays in the cache
 
 
@@ -352,6 +357,8 @@ class CollisionBoxes:
         self._half = np.array([[o.half_x_m, o.half_y_m] for o in obstacles]).reshape(-1, 2)
         yaw = np.array([o.yaw_rad for o in obstacles])
         self._cos, self._sin = np.cos(yaw), np.sin(yaw)
+        # Where a disc was last found free, and how far off the nearest box was: no nearer than that way is one touched.
+        self._was_clear = (0.0, 0.0, -math.inf)
 
     def clearance(self, p: FloatArray) -> FloatArray:
         """Distance (N,) m of points (N, 2) to the nearest box; negative inside."""
@@ -369,6 +376,9 @@ class CollisionBoxes:
 
     def push_out(self, x: float, y: float, radius: float) -> FloatArray | None:
         """Shift (2,) m that frees a disc from the boxes it overlaps, None where it overlaps none."""
+        near_x, near_y, clearance = self._was_clear
+        if math.hypot(x - near_x, y - near_y) < clearance - radius - ROUNDING_M:
+            return None
         shift = np.zeros(2)
         for _ in range(4):  # a corner between two boxes needs a few rounds
             step = self._deepest(x + shift[0], y + shift[1], radius)
@@ -385,7 +395,9 @@ class CollisionBoxes:
             ly - np.clip(ly, -self._half[:, 1], self._half[:, 1]),
         )
         distance = np.hypot(qx, qy)
-        if len(distance) == 0 or distance.min() >= radius:
+        nearest = distance.min() if len(distance) else math.inf
+        if nearest >= radius:
+            self._was_clear = x, y, nearest
             return None
         i = int(np.argmin(distance))
         if distance[i] > 1e-9:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import heapq
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import cast
 
 import cv2
 import numpy as np
 
-from robot.simulation.body import CollisionBoxes
+from robot.simulation.body import ROUNDING_M, CollisionBoxes
 from robot.simulation.world import Room, World
 from shared.errors import ConfigError
 from shared.geometry import FloatArray
@@ -98,12 +99,16 @@ class FreeSpace:
 
     def path(self, start: FloatArray, goal: FloatArray) -> FloatArray:
         """Cheapest path (N, 2) between two points. Source: Hart, Nilsson and Raphael, 1968 (A*)."""
-        first, last = self.cell(start), self.cell(goal)
-        best = {first: 0.0}
-        parent: dict[tuple[int, int], tuple[int, int]] = {}
+        columns = self.is_free.shape[1] + 2
+        (i_last, j_last), first = self.cell(goal), self._number(self.cell(start))
+        last = self._number((i_last, j_last))
+        entering = self._cost_of_entering
+        steps = [(i * columns + j, math.hypot(i, j)) for i, j in _NEIGHBOURS]
+        best = [math.inf] * len(entering)
+        best[first] = 0.0
+        parent: dict[int, int] = {}
         queue = [(0.0, first)]
-        closed: set[tuple[int, int]] = set()
-        rows, columns = self.is_free.shape
+        closed: set[int] = set()
         while queue:
             _, cell = heapq.heappop(queue)
             if cell == last:
@@ -111,21 +116,28 @@ class FreeSpace:
             if cell in closed:
                 continue
             closed.add(cell)
-            for di, dj in _NEIGHBOURS:
-                i, j = cell[0] + di, cell[1] + dj
-                if not (0 <= i < rows and 0 <= j < columns and self.is_free[i, j]):
-                    continue
-                cost = best[cell] + math.hypot(di, dj) * float(self._cost[i, j])
-                if cost < best.get((i, j), math.inf):
-                    best[i, j] = cost
-                    parent[i, j] = cell
-                    heapq.heappush(queue, (cost + math.hypot(i - last[0], j - last[1]), (i, j)))
+            for step, length in steps:
+                cost = best[cell] + length * entering[cell + step]
+                if cost < best[cell + step]:
+                    best[cell + step] = cost
+                    parent[cell + step] = cell
+                    i, j = divmod(cell + step, columns)
+                    heapq.heappush(queue, (cost + math.hypot(i - 1 - i_last, j - 1 - j_last), cell + step))
         if last != first and last not in parent:
             raise ConfigError(f"no way from {start} to {goal} in world {self.world.name}, seed {self.world.seed}")
         cells = [last]
         while cells[-1] != first:
             cells.append(parent[cells[-1]])
-        return np.array([self.point(c) for c in reversed(cells)])
+        return self._origin + CELL_M * (np.array([divmod(c, columns) for c in reversed(cells)]) - 1)
+
+    def _number(self, cell: tuple[int, int]) -> int:
+        """Of a cell in the grid with a rim around it, row by row."""
+        return (cell[0] + 1) * (self.is_free.shape[1] + 2) + cell[1] + 1
+
+    @cached_property
+    def _cost_of_entering(self) -> list[float]:
+        """Of each cell in the grid with a rim around it, as plain numbers: a path asks a hundred thousand times."""
+        return np.pad(np.where(self.is_free, self._cost, math.inf), 1, constant_values=math.inf).ravel().tolist()
 
     def is_clear(self, points: FloatArray) -> bool:
         """Whether the robot fits at all points (N, 2)."""
@@ -267,12 +279,15 @@ def _resample(points: FloatArray) -> FloatArray:
 
 def _smooth(space: FreeSpace, points: FloatArray) -> FloatArray:
     """Round the corners by local averaging, point by point, where the robot still fits."""
-    clearance = space.boxes.clearance(points)
+    enough = space.keep_m + 0.05
+    clearance = space.boxes.clearance(points)  # at least; to the last bit where it is not surely enough
     for _ in range(60):
         moved = points.copy()
         moved[2:-2] = (points[:-4] + 4 * points[1:-3] + 6 * points[2:-2] + 4 * points[3:-1] + points[4:]) / 16
-        moved_clearance = space.boxes.clearance(moved)
-        fits = moved_clearance >= np.minimum(space.keep_m + 0.05, clearance)
+        moved_clearance = clearance - np.hypot(*(moved - points).T) - ROUNDING_M
+        unsure = moved_clearance < enough
+        moved_clearance[unsure] = space.boxes.clearance(moved[unsure])
+        fits = moved_clearance >= np.minimum(enough, clearance)
         points = np.where(fits[:, None], moved, points)
         clearance = np.where(fits, moved_clearance, clearance)
     return _resample(points)

@@ -12,6 +12,7 @@ from shared.calibration import ImuNoise
 from shared.geometry import FloatArray
 
 REFERENCE_SPEED_M_S = 0.4  # vibration figures are given at this speed
+SHAKEN_AXES = np.array([1.0, 1.0, 1.0, 0.7, 0.7, 1.3])  # of the figures, of gyroscope and accelerometer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,36 +29,35 @@ class ImuModel:
     """Turns motion into samples; one call per tick, in time order."""
 
     def __init__(self, noise: ImuNoise, imperfections: ImuImperfections, gravity: float, seed: int) -> None:
-        self._noise, self._imperfections = noise, imperfections
+        self._imperfections = imperfections
         self._gravity = np.array([0.0, 0.0, gravity])
         self._rng = np.random.default_rng([seed, 12])
         bias = 1.0 if imperfections.bias else 0.0
-        self._gyro_bias = bias * imperfections.gyro_bias_rad_s * self._rng.standard_normal(3)
-        self._accel_bias = bias * imperfections.accel_bias_m_s2 * self._rng.standard_normal(3)
+        size = (imperfections.gyro_bias_rad_s, imperfections.accel_bias_m_s2)
+        self._bias = np.concatenate([bias * of * self._rng.standard_normal(3) for of in size])
         self._vibration = np.zeros(6)
+        # Of gyroscope and accelerometer, three axes each.
+        root_rate = np.sqrt(noise.rate_hz)
+        self._walk = np.repeat([noise.gyro_walk / root_rate, noise.accel_walk / root_rate], 3)
+        self._white = np.repeat([noise.gyro_density * root_rate, noise.accel_density * root_rate], 3)
+        self._shaking = np.repeat([imperfections.gyro_vibration_rad_s, imperfections.accel_vibration_m_s2], 3)
+        self._range = np.repeat([noise.gyro_range, noise.accel_range], 3)
 
     def measure(self, motion: MotionState) -> ImuMeasurement:
-        i, n, rng = self._imperfections, self._noise, self._rng
-        gyro = motion.omega_body.copy()
-        accel = motion.R_world_body.T @ (motion.a_world + self._gravity)
-        white = rng.standard_normal(18)  # always drawn, so that switches do not shift the random numbers
-        root_rate = np.sqrt(n.rate_hz)
+        i = self._imperfections
+        white = self._rng.standard_normal(18)  # always drawn, so that switches do not shift the random numbers
+        sample = np.concatenate([motion.omega_body, motion.R_world_body.T @ (motion.a_world + self._gravity)])
         if i.bias_walk:
-            self._gyro_bias = self._gyro_bias + n.gyro_walk / root_rate * white[0:3]
-            self._accel_bias = self._accel_bias + n.accel_walk / root_rate * white[3:6]
-        gyro += self._gyro_bias
-        accel += self._accel_bias
+            self._bias = self._bias + self._walk * white[0:6]
+        sample += self._bias
         if i.noise:
-            gyro += n.gyro_density * root_rate * white[6:9]
-            accel += n.accel_density * root_rate * white[9:12]
+            sample += self._white * white[6:12]
         if i.vibration:
             self._vibrate(motion, white[12:18])
-            gyro += i.gyro_vibration_rad_s * self._vibration[:3]
-            accel += i.accel_vibration_m_s2 * self._vibration[3:] * np.array([0.7, 0.7, 1.3])
+            sample += self._shaking * self._vibration * SHAKEN_AXES
         if i.saturation:
-            gyro = np.clip(gyro, -n.gyro_range, n.gyro_range)
-            accel = np.clip(accel, -n.accel_range, n.accel_range)
-        return ImuMeasurement(gyro, accel, self._gyro_bias, self._accel_bias)
+            sample = np.minimum(np.maximum(sample, -self._range), self._range)
+        return ImuMeasurement(sample[:3], sample[3:], self._bias[:3], self._bias[3:])
 
     def _vibrate(self, motion: MotionState, white: FloatArray) -> None:
         """High-pass filtered noise that grows with the speed of the wheels: it shakes but does not drift."""

@@ -26,10 +26,23 @@ def clearly_nearest(
         second = similarity.max(axis=1)
         similarity[every, best] = first
     else:
-        second = np.where(owner == owner[best][:, None], -1.0, similarity).max(axis=1)
+        same = _columns_of(owner, owner[best])
+        kept = similarity[same]
+        similarity[same] = -1.0
+        second = similarity.max(axis=1)
+        similarity[same] = kept
     # Of unit vectors, distance^2 = 2 - 2 * similarity.
     rows = np.flatnonzero((1.0 - first) < max_ratio**2 * (1.0 - second))
     return rows, best[rows]
+
+
+def _columns_of(owner: IntArray, wanted: IntArray) -> tuple[IntArray, IntArray]:
+    """Of each row the columns that show what is wanted of it: row numbers (k,) and columns (k,)."""
+    order = np.argsort(owner, kind="stable")
+    begin = np.searchsorted(owner, wanted, side="left", sorter=order)
+    length = np.searchsorted(owner, wanted, side="right", sorter=order) - begin
+    at = np.repeat(begin - np.cumsum(length) + length, length) + np.arange(length.sum())
+    return np.repeat(np.arange(len(wanted)), length), order[at]
 
 
 def match_both_ways(similarity: Float32Array, max_ratio: float) -> IntArray:

@@ -25,6 +25,8 @@ from station.model.navigation import Navigation, Trajectory
 from station.model.place_answer import HijackEvent, HijackNotice, PlaceAnswer
 from station.model.place_map import PlaceMap
 from station.model.slam_update import SlamUpdate
+from station.places.localisation.described_pictures import DescribedPictures
+from station.places.localisation.make_index import make_index
 from station.places.making.build import build_map
 from station.workers.place_interface import PlaceEvent
 from station.workers.places import PlaceFinder
@@ -83,11 +85,13 @@ def replay(
         DataError: the recording has no images, or one that cannot be read.
     """
     with repeatable(options.threads):
-        navigation, updates = follow(data, options, pace, say)
+        slam, updates = run_slam(data, options, pace, say)
+        navigation = _complete(slam, data, say)
         say("clustering landmarks into places")
         place_map = build_map(navigation)
         say("looking at the pictures of the map")
-        answers, hijacks = locate(data, known_map or place_map, updates, options, pace, say)
+        pictures = slam.described_pictures() if known_map is None else None
+        answers, hijacks = locate(data, known_map or place_map, updates, options, pace, say, pictures)
     return Replay(navigation, place_map, answers, hijacks)
 
 
@@ -126,8 +130,12 @@ def follow(
 ) -> tuple[Navigation, list[SlamUpdate]]:
     """The SLAM worker's part."""
     slam, updates = run_slam(data, options, pace, say)
+    return _complete(slam, data, say), updates
+
+
+def _complete(slam: NavigationSlam, data: Dataset, say: Say) -> Navigation:
     say("making the navigation")
-    return slam.complete(f"replay-{data.path.stem}"), updates
+    return slam.complete(f"replay-{data.path.stem}")
 
 
 def run_slam(data: Dataset, options: ReplayOptions, pace: Pace, say: Say) -> tuple[NavigationSlam, list[SlamUpdate]]:
@@ -158,8 +166,12 @@ def locate(
     options: ReplayOptions,
     pace: Pace = lambda _: None,
     say: Say = lambda _: None,
+    pictures: DescribedPictures | None = None,
 ) -> tuple[tuple[PlaceAnswer, ...], tuple[HijackEvent, ...]]:
-    """The localisation worker's part; `updates` is what SLAM said on the way: poses, and of the calibration."""
+    """The localisation worker's part.
+
+    `updates`: what SLAM said on the way, poses and of the calibration; `pictures`: of the map, described already.
+    """
     hijacks: list[HijackEvent] = []
 
     def receive(event: PlaceEvent) -> None:
@@ -167,7 +179,7 @@ def locate(
             hijacks.append(event.event)
 
     places = PlaceFinder(receive)
-    places.use([place_map])
+    places.use([place_map], None if pictures is None else [make_index(place_map, pictures=pictures)])
     places.calibrate(data.calibration)
     say("looking for the current place")
     following = iter(updates)

@@ -85,21 +85,19 @@ class NavigationSlam(SlamProgram):
             logger.exception("a picture could not be described")
         return True
 
-    def _store_features(self) -> None:
-        """What the backend found in its keyframes while it made the map."""
-        if self._backend is None:
-            return
-        pictures = self._backend.keyframe_pictures()
-        for number in range(len(pictures)):
-            features = self._backend.keyframe_features(number)
-            if features is not None:
-                self._pictures.store(pictures[number], features)
+    def described_pictures(self) -> DescribedPictures:
+        """Keyframes that are described by now: while they waited, and by the backend while it made the map."""
+        if self._backend is not None:
+            for number, picture in enumerate(self._backend.keyframe_pictures()):
+                features = self._backend.keyframe_features(number)
+                if features is not None:
+                    self._pictures.store(picture, features)
+        return self._pictures
 
     def finish(self, navigation_id: str, folder: Path) -> NavigationReport:
         navigation = self.complete(navigation_id)
         save_navigation(navigation, folder)
-        self._store_features()
-        self._pictures.keep_only(navigation.keyframes.encoded)
+        self.described_pictures().keep_only(navigation.keyframes.encoded)
         try:
             self._pictures.write(folder / PICTURES)
         except OSError as exc:  # whoever needs them describes them again

@@ -12,8 +12,10 @@ from typer.testing import CliRunner
 from station.commands.replay import Metronome
 from station.datasets import open_dataset
 from station.main import app
+from station.vision.features import FeatureExtractor, Features, extract_encoded
 from station.workers.replay import ReplayOptions
 from station.workers.replay import replay as replay_drive
+from tests.support.made_up_workers import StraightSlam, made_up_navigation
 from tests.support.paths import RECORDINGS
 from tests.support.recordings import record_made_up_room
 
@@ -22,6 +24,18 @@ pytestmark = pytest.mark.computing
 KEYFRAMES = RECORDINGS / "euroc_v1_01_keyframes"
 MADE_UP = "tests.support.made_up_workers:StraightSlam"
 MISFIT = "tests.support.made_up_workers:MisfitSlam"
+DESCRIBING = "tests.integration.test_replay:DescribingSlam"
+
+
+class DescribingSlam(StraightSlam):
+    """Has described its keyframes itself, while it made the map."""
+
+    def keyframe_pictures(self) -> list[bytes]:
+        return list(made_up_navigation().keyframes.encoded)
+
+    def keyframe_features(self, number: int) -> Features:
+        up_deg = made_up_navigation().calibration.up_in_image_deg
+        return extract_encoded(self.keyframe_pictures()[number], FeatureExtractor(up_deg=up_deg))
 
 
 def replay(path: Path, *words: str) -> dict[str, object]:
@@ -51,6 +65,13 @@ def test_a_recordings_own_fit_of_its_calibration_counts_as_in_the_running_statio
     misfits = replay_drive(data, ReplayOptions(MISFIT), known_map).answers
     assert "known" not in {answer.state for answer in misfits}
     assert any(answer.reason.startswith("the calibration does not fit") for answer in misfits)
+
+
+def test_pictures_that_slam_described_are_not_described_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = open_dataset(record_made_up_room(tmp_path / "drive.mcap"))
+    expected = replay_drive(data, ReplayOptions(MADE_UP))
+    monkeypatch.setattr("station.places.localisation.described_pictures.extract_encoded", None)
+    assert replay_drive(data, ReplayOptions(DESCRIBING)).hashes() == expected.hashes()
 
 
 def test_a_different_recording_gives_other_answers(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from robot.simulation.atlas import default_cache_dir
 from robot.simulation.body import Body
 from robot.simulation.config import Faults, SimulationConfig
 from robot.simulation.imaging import SimulatedCamera
@@ -51,7 +52,7 @@ def drive(truth: dict[int, FloatArray] | None = None) -> Iterator[ImuBatch | Dri
     world = make_world("checker", 0)
     body = Body(world, CONFIG.body, (1.0, 1.2, 0.3), 1)
     imu = ImuModel(noise, CONFIG.imu, CALIBRATION.gravity, 1)
-    eye = SimulatedCamera(Renderer(world, camera), camera, CONFIG.camera, 1)
+    eye = SimulatedCamera(Renderer(world, camera, default_cache_dir()), camera, CONFIG.camera, 1)
     history, state, next_frame_s, index, ticks, hijacked = MotionHistory(keep_s=2.0), body.state(), 0.1, 0, 0, False
     while state.t_s < (END_S if truth is None else HIJACK_S):
         history.append(state)

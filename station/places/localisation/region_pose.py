@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -105,13 +106,15 @@ def _match_guided(
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     xy = p_cam[ahead, :2] / p_cam[ahead, 2:]
     near = cKDTree(rays).query_ball_tree(cKDTree(xy), radius)
-    query, found = [], []
-    for i, candidates in enumerate(near):
-        if not candidates:
-            continue
-        rows = ahead[candidates]
-        j = int(rows[np.argmax(similarity[i, rows])])
-        if similarity[i, j] > min_similarity:
-            query.append(i)
-            found.append(j)
-    return np.array(query, dtype=np.int64), np.array(found, dtype=np.int64)
+    count = np.fromiter(map(len, near), np.int64, len(near))
+    query = np.flatnonzero(count)
+    if not len(query):
+        return query, query
+    rows = ahead[np.fromiter(chain.from_iterable(near), np.int64, int(count.sum()))]
+    alike = similarity[np.repeat(np.arange(len(near)), count), rows]
+    begin = np.cumsum(count[query]) - count[query]
+    best = np.maximum.reduceat(alike, begin)
+    is_best = np.flatnonzero(alike == np.repeat(best, count[query]))
+    found = rows[is_best[np.searchsorted(is_best, begin)]]  # of equals the first one
+    good = best > min_similarity
+    return query[good], found[good]

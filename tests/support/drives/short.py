@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from robot.head import CameraHead
+from robot.simulation.atlas import default_cache_dir
 from robot.simulation.body import Body
 from robot.simulation.config import SimulationConfig
 from robot.simulation.imaging import SimulatedCamera
@@ -46,7 +47,7 @@ def drive(wanted: ShortDrive, seed: int = 1) -> Iterator[ImuBatch | DriveSample 
     world = make_world(wanted.world, 0)
     body = Body(world, CONFIG.body, wanted.start, seed)
     imu = ImuModel(noise, CONFIG.imu, CALIBRATION.gravity, seed)
-    eye = SimulatedCamera(Renderer(world, camera), camera, CONFIG.camera, seed)
+    eye = SimulatedCamera(Renderer(world, camera, default_cache_dir()), camera, CONFIG.camera, seed)
     servos = Servos(CONFIG.servos, seed)
     head = CameraHead(servos.point, CALIBRATION.head)
     history, state, next_frame_s, index, ticks = MotionHistory(keep_s=2.0), body.state(), 0.1, 0, 0

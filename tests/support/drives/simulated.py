@@ -29,6 +29,7 @@ from station.model.navigation import Navigation, Trajectory
 from station.model.place_map import PlaceMap
 from station.model.slam_update import SlamUpdate
 from station.motion.interpolation import interpolate_poses
+from station.places.localisation.described_pictures import DescribedPictures
 from station.places.localisation.localizer import Localizer
 from station.places.localisation.make_index import make_index
 from station.places.making.build import build_map
@@ -106,7 +107,7 @@ def make_drives(kind: str, seed: int, misfit: Misfit, options: DriveOptions) -> 
         except EstimationError as exc:
             return replace(empty, failure=str(exc))
     with spent.on("index"):
-        index = make_index(mapped.place_map)
+        index = make_index(mapped.place_map, pictures=mapped.pictures)
         localizer = Localizer([mapped.place_map], index=[index])
     drives = []
     for number, plan in enumerate(plans):
@@ -127,6 +128,7 @@ class MappedFlat:
     place_map: PlaceMap
     quality: MapQuality
     truth: Trajectory  # of the mapping drive
+    pictures: DescribedPictures  # of the map, by SLAM
 
 
 class SimulatedFlat:
@@ -156,7 +158,8 @@ class SimulatedFlat:
         for item in robot.sent(self._options.mapping_rate_hz):
             slam.add(item)
         navigation = slam.complete(name)
-        return MappedFlat(build_map(navigation), compare(navigation, robot.truth), robot.truth)
+        quality = compare(navigation, robot.truth)
+        return MappedFlat(build_map(navigation), quality, robot.truth, slam.described_pictures())
 
     def drive(
         self, plan: Plan, seed: int, localizer: Localizer, T_world_map: FloatArray, left_out: str
@@ -220,6 +223,9 @@ class RunningSlam:
     def complete(self, navigation_id: str) -> Navigation:
         """Raises EstimationError, with the reason, when nothing came out."""
         return self._slam.complete(navigation_id)
+
+    def described_pictures(self) -> DescribedPictures:
+        return self._slam.described_pictures()
 
 
 def compare(navigation: Navigation, truth: Trajectory) -> MapQuality:
