@@ -20,6 +20,13 @@ MADE = (
 )
 
 
+def test_no_file_is_a_link() -> None:
+    listed = subprocess.run(["git", "ls-files", "-s"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    entries = listed.splitlines()
+    assert len(entries) > 100
+    assert not [entry for entry in entries if entry.startswith("120000")]
+
+
 def test_every_file_that_is_named_exists() -> None:
     tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.split()
     texts = [name for name in tracked if name.endswith((".md", ".py", ".ts", ".sh")) and not name.startswith(FROZEN)]
