@@ -248,7 +248,11 @@ class Recorder:
         t_station_ns = self._now_ns() if t_station_ns is None else t_station_ns
         # Foxglove's time line is the log time, which is wall time; the sensor's own time is the publish time.
         wall_ns = t_station_ns + self._wall_minus_monotonic_ns
-        encoded = content if isinstance(content, bytes) else msgspec.json.encode(content)
+        try:
+            encoded = content if isinstance(content, bytes) else msgspec.json.encode(content)
+        except (ValueError, TypeError, msgspec.MsgspecError) as exc:
+            self._fail(f"an error of the recorder ({exc})")
+            return
         self._queue(_Entry(topic, max(0, wall_ns if t_sensor_ns is None else t_sensor_ns), wall_ns, encoded))
 
     def _queue(self, arrival: _Entry | _ImuArrival) -> None:

@@ -235,6 +235,17 @@ def test_a_write_error_of_another_kind_is_told_too(
     assert "Input/output error" in recorder.close().error
 
 
+def test_what_cannot_be_encoded_ends_the_recording_with_a_sentence(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.CRITICAL)
+    recorder = Recorder(tmp_path / "d.mcap")
+    recorder.on_imu(batch(0, 3))
+    recorder.on_log(LogLine(1, 1.5e9, "warning", "map", "cannot be read: /data/\udcff"))
+    report = recorder.close()
+    assert "an error of the recorder" in report.error and report.messages >= 3
+
+
 def test_what_is_called_closed_is_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     waited_for: list[int] = []
     monkeypatch.setattr(station.recordings.recorder.os, "fsync", lambda file: waited_for.append(os.fstat(file).st_size))
