@@ -16,6 +16,7 @@ def clearly_nearest(
     Args:
         max_ratio: of the distances to the nearest and to the second nearest.
         owner: (m,) what each column shows; of what the nearest one shows, no other column counts as second nearest.
+    `similarity` is changed meanwhile, and is as before in the end: not one that others read.
     Source: Lowe, IJCV 60(2), 2004, section 7.1.
     """
     every = np.arange(len(similarity))

@@ -45,6 +45,7 @@ class DescribedPictures:
 
     def __init__(self, up_deg: float | None = None) -> None:
         """`up_deg`: which way is up in the pictures (`Calibration.up_in_image_deg`)."""
+        self.up_deg = up_deg
         self._extractor = FeatureExtractor(up_deg=up_deg)
         self._described_by = f"{DESCRIBED_BY} up {up_deg}"
         self._spill = Spill()

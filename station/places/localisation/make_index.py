@@ -26,9 +26,11 @@ def make_index(
 ) -> MapIndex:
     """Some 100 ms for each keyframe on one core, and 5 s; `on_keyframe` is called before each.
 
-    `pictures`: what is described already.
+    `pictures`: what is described already; those that were turned otherwise than the map's are described anew.
     """
-    pictures = pictures or DescribedPictures(place_map.navigation.calibration.up_in_image_deg)
+    up_deg = place_map.navigation.calibration.up_in_image_deg
+    if pictures is None or pictures.up_deg != up_deg:
+        pictures = DescribedPictures(up_deg)
     index = MapIndex.of_keyframes(describe_keyframes(place_map, pictures.describe, on_keyframe))
     return replace(index, tried=try_pictures(place_map, index, pictures.describe))
 
