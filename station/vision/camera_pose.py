@@ -64,9 +64,30 @@ def pose_by_ransac(
     )
     if not found or inliers is None:
         return None
+    agree = np.asarray(inliers, dtype=np.int64).ravel()
+    # OpenCV ends the search with EPnP, which for small flat things may end far from what the matches agreed on.
+    rotation, translation = _fitted(p_map[agree], rays[agree]) or (rotation, translation)
     R = np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64)
     T_cam_map = se3(R, np.asarray(translation, dtype=np.float64).ravel())
-    return (inverse(T_cam_map), np.asarray(inliers, dtype=np.int64).ravel()) if np.isfinite(T_cam_map).all() else None
+    return (inverse(T_cam_map), agree) if np.isfinite(T_cam_map).all() else None
+
+
+def _fitted(p_map: FloatArray, rays: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Rotation vector and translation that fit all matches best; None where these are too few different points.
+
+    Source: SQPnP (Terzakis and Lourakis, ECCV 2020), by OpenCV.
+    """
+    try:
+        found, rotation, translation = cv2.solvePnP(
+            np.ascontiguousarray(p_map),
+            np.ascontiguousarray(rays),
+            np.eye(3),
+            np.zeros(4),
+            flags=cv2.SOLVEPNP_SQPNP,
+        )
+    except cv2.error:
+        return None
+    return (np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64)) if found else None
 
 
 def solve_pose_from(T_map_cam: FloatArray, p_map: FloatArray, rays: FloatArray, tolerance: float) -> CameraPose | None:

@@ -18,7 +18,7 @@ from station.places.localisation.region_pose import MIN_MATCHES
 from station.places.localisation.tried_pictures import Arrays, TriedPicture, tried_arrays, tried_of_arrays
 from station.vision.appearance import AppearanceIndex
 
-VERSION = 5  # of how described pictures are indexed and tried: count it up when that changes
+VERSION = 6  # of how described pictures are indexed and tried: count it up when that changes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
