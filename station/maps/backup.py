@@ -5,9 +5,10 @@ from __future__ import annotations
 import io
 import shutil
 import tarfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import BinaryIO
 
 from shared.bounded import MAX_FILE_BYTES, MAX_JSON_BYTES, MB, Refused, in_pieces, open_file
 from shared.disk import PRIVATE, make_folder, replacing
@@ -81,8 +82,8 @@ def restore_backup(store: MapStore, path: Path) -> BackupReport:
 def _restore(store: MapStore, contents: Contents, path: Path) -> BackupReport:
     found = _Found(store, path)
     try:
-        with open_file(path) as file, tarfile.open(fileobj=in_pieces(file, MAX_PIECE_BYTES), mode="r:") as archive:
-            for member in archive:
+        with open_file(path) as file, _opened(in_pieces(file, MAX_PIECE_BYTES)) as archive:
+            for member in _members(archive, path.stat().st_size, found.lost):
                 found.add(archive, member)
     except (Refused, *_NO_ARCHIVE) as exc:
         if not found.records:
@@ -90,8 +91,10 @@ def _restore(store: MapStore, contents: Contents, path: Path) -> BackupReport:
         found.damaged.append(f"{path} ends early ({exc}); what came before was restored")
     except OSError as exc:
         raise DataError(f"{path} cannot be read ({exc.strerror}); give a file written by `station map backup`") from exc
-    if not found.entries:
-        raise DataError(f"{path} is no backup (it holds nothing); give a file written by `station map backup`")
+    if not found.records and (found.damaged or found.strangers or not found.entries):
+        nothing = "there is no map in it" if found.entries else "it holds nothing"
+        why = found.damaged[0].removeprefix(f"{path}: ") if found.damaged else nothing
+        raise DataError(f"{path} is no backup that can be read ({why}); give a file written by `station map backup`")
     if found.strangers:
         first = printable(found.first_stranger)[:MAX_SHOWN]
         found.damaged.append(f"{path} holds what no backup does: {first}, {found.strangers} in all; it is left out")
@@ -109,6 +112,43 @@ def _restore(store: MapStore, contents: Contents, path: Path) -> BackupReport:
     return BackupReport(len(found.records), count, path.stat().st_size, tuple(found.damaged))
 
 
+def _opened(file: BinaryIO) -> tarfile.TarFile:
+    """Blocks that are no header are passed over: else a wrong bit in one header would be taken for the end."""
+    return tarfile.open(fileobj=file, mode="r:", ignore_zeros=True)
+
+
+def _members(archive: tarfile.TarFile, size: int, lost: Callable[[int, str], None]) -> Iterator[tarfile.TarInfo]:
+    """What can be read of an archive of `size` bytes; `lost` is told how many bytes cannot, and where.
+
+    Raises ValueError: a header leads back, or beyond the end.
+    """
+    end = 0
+    for member in archive:
+        if member.size < 0 or member.offset < end:
+            raise ValueError("a header leads back")
+        if member.offset > end:
+            lost(member.offset - end, f"before {member.name}")
+        yield member
+        end = member.offset_data + -(-member.size // tarfile.BLOCKSIZE) * tarfile.BLOCKSIZE
+    if size - end < 2 * tarfile.BLOCKSIZE:
+        raise ValueError("its end is missing")
+    begin = _first_not_zero(archive, end)
+    if begin is not None:
+        lost(size - begin, "at its end")
+
+
+def _first_not_zero(archive: tarfile.TarFile, begin: int) -> int | None:
+    """Where something comes from `begin` on, where an archive's end has nothing."""
+    file = archive.fileobj
+    assert file is not None
+    file.seek(begin)
+    while block := file.read(tarfile.BLOCKSIZE):
+        if block.strip(b"\0"):
+            return begin
+        begin += len(block)
+    return None
+
+
 class _Found:
     """What a backup holds; nothing of it is unpacked to the disk but files of maps, under the addresses they have."""
 
@@ -120,6 +160,11 @@ class _Found:
         self.strangers, self.first_stranger = 0, ""  # entries that no backup has
         self._store = store
         self._path = path
+
+    def lost(self, count: int, where: str) -> None:
+        """Bytes that no header leads to."""
+        shown = printable(where)[:MAX_SHOWN]
+        self.damaged.append(f"{self._path}: {count} bytes {shown} cannot be read; what they held is left out")
 
     def add(self, archive: tarfile.TarFile, member: tarfile.TarInfo) -> None:
         """A record or a blob; what is something else is counted. Raises what an unreadable archive does."""
