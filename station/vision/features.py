@@ -26,6 +26,7 @@ Float32Array = npt.NDArray[np.float32]
 MAX_FEATURES = 800
 MAX_DETAILS = 1200
 LAYERS = 3  # per octave, OpenCV's default
+LEAST_SIDE_PX = 11  # SIFT takes nothing within 5 pixels of the border, and OpenCV's fails at sides of 2
 LARGE_WIDTH_PX = 500  # from here on an image is described at half its size; docs/localisation.md has the comparison
 # Root of a share of the L1 norm, times this: a unit vector of length 512 whose entries rarely reach 255.
 BYTE_SCALE = 512.0
@@ -113,7 +114,7 @@ class _Finder:
         seen = grey if scale == 1.0 else cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         if self._evened is not None:
             seen = self._evened.apply(seen)
-        keypoints, raw = self._described(seen)
+        keypoints, raw = self._described(seen) if min(seen.shape) >= LEAST_SIDE_PX else ((), None)
         if raw is None or not len(keypoints):
             return Features(np.zeros((0, 2)), np.zeros((0, 128), dtype=np.uint8)), np.zeros(0, dtype=np.float32)
         uv = (np.array([k.pt for k in keypoints], dtype=np.float64) + 0.5) / scale - 0.5  # pixels' centres stay centres

@@ -132,3 +132,10 @@ def test_a_picture_in_the_shade_is_looked_at_again(extract: Callable[[ImageArray
     assert len(found) > FEW_FEATURES
     distance = np.linalg.norm(found.uv_px[:, None] - true[None], axis=2).min(axis=1)
     assert np.mean(distance < 2.0) > 0.5  # corners of the picture, not noise
+
+
+@pytest.mark.parametrize("up_deg", [None, 0.0])
+def test_a_picture_of_a_few_pixels_has_no_features(up_deg: float | None) -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (40, 40), dtype=np.uint8)
+    for height, width in ((1, 1), (1, 40), (40, 2), (10, 40), (10, 10)):
+        assert not len(FeatureExtractor(up_deg=up_deg).extract(noise[:height, :width].copy()))
