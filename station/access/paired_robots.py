@@ -14,7 +14,7 @@ from shared.certificates import show_fingerprint
 from shared.errors import ConfigError
 from shared.listening import is_loopback
 from shared.private_files import locked, make_private_folder, read_private, write_private
-from station.config import show_address
+from station.config import parse_address, show_address
 
 logger = logging.getLogger(__name__)
 FILE_NAME = "robots.json"
@@ -26,7 +26,7 @@ class PairedRobot(msgspec.Struct, frozen=True, kw_only=True):
 
     robot_id: str
     name: str
-    host: str  # where it was when it was paired
+    host: str  # where it was when it was paired; empty: another robot was paired there since
     port: int
     fingerprint: str  # hex SHA-256 of its certificate
     token: str
@@ -34,8 +34,20 @@ class PairedRobot(msgspec.Struct, frozen=True, kw_only=True):
 
     def is_at(self, host: str, port: int) -> bool:
         """Whether this address, as a person gives it, means this robot."""
-        here = show_address(host, port).lower()
-        return here in (show_address(self.host, self.port).lower(), *self.also_at)
+        return show_address(host, port).lower() in (self.address.lower(), *self.also_at)
+
+    @property
+    def address(self) -> str:
+        """HOST:PORT where it is known to be; empty: nowhere."""
+        return show_address(self.host, self.port) if self.host else ""
+
+    def moved_from(self, address: str) -> PairedRobot:
+        """The same robot, no longer met at this address of its: the last other one that was given for it counts now."""
+        also_at = _without(self.also_at, address)
+        if self.address.lower() != address:
+            return msgspec.structs.replace(self, also_at=also_at)
+        host, port = parse_address(also_at[-1], FILE_NAME) if also_at else ("", self.port)
+        return msgspec.structs.replace(self, host=host, port=port, also_at=also_at[:-1])
 
     def __repr__(self) -> str:
         return f"PairedRobot({self.name!r}, {show_fingerprint(bytes.fromhex(self.fingerprint))})"
@@ -83,7 +95,7 @@ class PairedRobots:
             return self._in_its_place(show_address(host, port), owner, robot, fingerprint)
         known = self.recognise_anywhere(fingerprint, host, port)
         if owner is None and not isinstance(known, str):
-            self._note_address(known[0], show_address(host, port).lower())
+            self._note_address(known[0], host, port)
         return known
 
     def recognise_anywhere(self, fingerprint: bytes, host: str, port: int) -> tuple[PairedRobot, Token] | str:
@@ -104,24 +116,35 @@ class PairedRobots:
         with locked(self.path):
             self._write(self.all())
 
-    def store(self, robot: PairedRobot) -> None:
-        """Add a robot; it replaces one with the same certificate or address."""
+    def store(self, robot: PairedRobot) -> tuple[PairedRobot, ...]:
+        """Add a robot; returns the others that had its address. These lose it, and stay paired: routers give addresses
+        anew. One with the same id is this robot before it was set up anew, and is replaced.
+        """
         make_private_folder(self.path.parent)
-        address = show_address(robot.host, robot.port).lower()
+        address = robot.address.lower()
         with locked(self.path):
-            others = []
-            for known in self.all():
-                if known.fingerprint == robot.fingerprint:
-                    robot = msgspec.structs.replace(robot, also_at=_without(known.also_at, address))
-                elif show_address(known.host, known.port).lower() != address:
-                    others.append(msgspec.structs.replace(known, also_at=_without(known.also_at, address)))
-            self._write((*others, robot))
+            known = self.all()
+            before = tuple(k for k in known if k.is_at(robot.host, robot.port) and k.fingerprint != robot.fingerprint)
+            kept = []
+            for other in known:
+                if other.fingerprint == robot.fingerprint:
+                    robot = msgspec.structs.replace(robot, also_at=_without(other.also_at, address))
+                elif other not in before:
+                    kept.append(other)
+                elif other.robot_id != robot.robot_id:
+                    kept.append(other.moved_from(address))
+            self._write((*kept, robot))
+        return before
 
-    def _note_address(self, robot: PairedRobot, address: str) -> None:
+    def _note_address(self, robot: PairedRobot, host: str, port: int) -> None:
         """From now on nobody else is met at this address."""
+        address = show_address(host, port).lower()
+        if robot.host:
+            noted = msgspec.structs.replace(robot, also_at=(*robot.also_at, address)[-MAX_ADDRESSES:])
+        else:
+            noted = msgspec.structs.replace(robot, host=host, port=port)
         try:
             with locked(self.path):
-                noted = msgspec.structs.replace(robot, also_at=(*robot.also_at, address)[-MAX_ADDRESSES:])
                 self._write(tuple(noted if known == robot else known for known in self.all()))
         except ConfigError as exc:  # a disk that takes no writes must not keep the robot from being used
             logger.warning("that %s means %s cannot be noted: %s", address, robot.name, exc)

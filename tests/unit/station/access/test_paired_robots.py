@@ -1,0 +1,89 @@
+"""Which robot is met at which address, and who stays paired when addresses go to others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from shared.access import Token
+from station.access.paired_robots import PairedRobot, PairedRobots
+
+ANNA, BERTA, CARLA = (bytes([n] * 32) for n in (1, 2, 3))
+
+
+def robot(name: str, host: str, fingerprint: bytes, robot_id: str = "") -> PairedRobot:
+    return PairedRobot(
+        robot_id=robot_id or name.lower(),
+        name=name,
+        host=host,
+        port=7400,
+        fingerprint=fingerprint.hex(),
+        token=Token.new().text,
+    )
+
+
+@pytest.fixture
+def robots(tmp_path: Path) -> PairedRobots:
+    return PairedRobots(tmp_path)
+
+
+def is_taken(robots: PairedRobots, fingerprint: bytes, host: str) -> bool:
+    return not isinstance(robots.recognise(fingerprint, host, 7400), str)
+
+
+def test_a_new_robot_at_an_old_ones_address_does_not_unpair_it(robots: PairedRobots) -> None:
+    berta = robot("Berta", "10.77.0.12", BERTA)
+    robots.store(berta)
+    assert is_taken(robots, BERTA, "10.77.0.14")  # the router gave it another address
+    (before,) = robots.store(robot("Carla", "10.77.0.12", CARLA))
+    assert before.name == "Berta"
+    kept = next(one for one in robots.all() if one.name == "Berta")
+    assert (kept.token, kept.host, kept.port, kept.also_at) == (berta.token, "10.77.0.14", 7400, ())
+    assert is_taken(robots, BERTA, "10.77.0.14") and is_taken(robots, CARLA, "10.77.0.12")
+    assert not is_taken(robots, BERTA, "10.77.0.12") and not is_taken(robots, CARLA, "10.77.0.14")
+
+
+def test_a_robot_without_another_address_has_none_until_it_is_met_at_a_new_one(robots: PairedRobots) -> None:
+    robots.store(robot("Berta", "10.77.0.12", BERTA))
+    robots.store(robot("Carla", "10.77.0.12", CARLA))
+    assert [(one.name, one.address) for one in robots.all()] == [("Berta", ""), ("Carla", "10.77.0.12:7400")]
+    assert not isinstance(robots.recognise_anywhere(BERTA, "10.77.0.99", 7400), str)  # found by `auto`
+    assert is_taken(robots, BERTA, "fd00::14")
+    assert [(one.name, one.address) for one in robots.all()] == [
+        ("Berta", "[fd00::14]:7400"),
+        ("Carla", "10.77.0.12:7400"),
+    ]
+    assert not is_taken(robots, CARLA, "fd00::14")
+    robots.store(robot("Anna", "fd00::14", ANNA))
+    assert {one.name: one.address for one in robots.all()}["Berta"] == ""
+
+
+def test_an_ipv6_address_that_was_given_later_becomes_the_one_where_it_is(robots: PairedRobots) -> None:
+    robots.store(robot("Berta", "10.77.0.12", BERTA))
+    assert is_taken(robots, BERTA, "fd00::14")
+    robots.store(robot("Carla", "10.77.0.12", CARLA))
+    assert {one.name: (one.host, one.port) for one in robots.all()}["Berta"] == ("fd00::14", 7400)
+
+
+def test_two_that_swapped_addresses_need_one_code_and_never_answer_for_each_other(robots: PairedRobots) -> None:
+    robots.store(robot("Anna", "10.77.0.11", ANNA))
+    robots.store(robot("Berta", "10.77.0.12", BERTA))
+    assert not is_taken(robots, ANNA, "10.77.0.12") and not is_taken(robots, BERTA, "10.77.0.11")
+    robots.store(robot("Berta", "10.77.0.11", BERTA))  # as the sentence advises
+    assert {one.name for one in robots.all()} == {"Anna", "Berta"}
+    assert is_taken(robots, ANNA, "10.77.0.12") and is_taken(robots, BERTA, "10.77.0.11")
+    assert not is_taken(robots, ANNA, "10.77.0.11") and not is_taken(robots, BERTA, "10.77.0.12")
+
+
+def test_a_robot_that_was_set_up_anew_is_replaced(robots: PairedRobots) -> None:
+    robots.store(robot("Anna", "10.77.0.11", ANNA))
+    (before,) = robots.store(robot("Anna", "10.77.0.11", CARLA))
+    assert before.fingerprint == ANNA.hex()
+    assert [one.fingerprint for one in robots.all()] == [CARLA.hex()]
+
+
+def test_pairing_again_says_nothing_of_itself_or_of_robots_elsewhere(robots: PairedRobots) -> None:
+    assert robots.store(robot("Anna", "10.77.0.11", ANNA)) == ()
+    assert robots.store(robot("Berta", "10.77.0.12", BERTA)) == ()
+    assert robots.store(robot("Anna", "10.77.0.11", ANNA)) == ()
