@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
+from msgspec.structs import force_setattr
 
 from shared.access import Token
 from shared.advice import option
@@ -14,10 +15,12 @@ from shared.certificates import show_fingerprint
 from shared.errors import ConfigError
 from shared.listening import is_loopback
 from shared.private_files import locked, make_private_folder, read_private, write_private
+from shared.text import explain, printable
 from station.config import parse_address, show_address
 
 logger = logging.getLogger(__name__)
 FILE_NAME = "robots.json"
+FINGERPRINT = r"^[0-9a-f]{64}\Z"
 MAX_ADDRESSES = 16  # of one robot; beyond, the oldest is free again
 
 
@@ -28,9 +31,13 @@ class PairedRobot(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     host: str  # where it was when it was paired; empty: another robot was paired there since
     port: int
-    fingerprint: str  # hex SHA-256 of its certificate
+    fingerprint: Annotated[str, msgspec.Meta(pattern=FINGERPRINT)]  # hex SHA-256 of its certificate
     token: str
     also_at: tuple[str, ...] = ()  # further HOST:PORT that were given for it; no other robot is met there
+
+    def __post_init__(self) -> None:
+        for field in ("robot_id", "name", "host"):  # a file may hold what a terminal would obey
+            force_setattr(self, field, printable(getattr(self, field)))
 
     def is_at(self, host: str, port: int) -> bool:
         """Whether this address, as a person gives it, means this robot."""
@@ -75,7 +82,8 @@ class PairedRobots:
         try:
             return msgspec.json.decode(content, type=_File).robots
         except msgspec.DecodeError as exc:
-            raise ConfigError(f"{self.path} is damaged ({exc}); delete it and pair again") from exc
+            said = explain(exc).replace(f"matching regex {FINGERPRINT!r}", "of 64 hexadecimal digits")
+            raise ConfigError(f"{self.path} is damaged ({said}); correct it, or delete it and pair again") from exc
 
     def needs_tls(self, host: str, port: int, address: str) -> bool:
         """Whether a robot is met by TLS only: it was paired under this name, or others reach this address too."""

@@ -4,10 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import pytest
+from typer.testing import CliRunner
 
 from shared.access import Token
+from shared.errors import ConfigError
+from shared.private_files import write_private
+from shared.text import is_printable
 from station.access.paired_robots import PairedRobot, PairedRobots
+from station.access.visitors import access_folder
+from station.main import app
 
 ANNA, BERTA, CARLA = (bytes([n] * 32) for n in (1, 2, 3))
 
@@ -25,7 +32,7 @@ def robot(name: str, host: str, fingerprint: bytes, robot_id: str = "") -> Paire
 
 @pytest.fixture
 def robots(tmp_path: Path) -> PairedRobots:
-    return PairedRobots(tmp_path)
+    return PairedRobots(access_folder(tmp_path))
 
 
 def is_taken(robots: PairedRobots, fingerprint: bytes, host: str) -> bool:
@@ -87,3 +94,23 @@ def test_pairing_again_says_nothing_of_itself_or_of_robots_elsewhere(robots: Pai
     assert robots.store(robot("Anna", "10.77.0.11", ANNA)) == ()
     assert robots.store(robot("Berta", "10.77.0.12", BERTA)) == ()
     assert robots.store(robot("Anna", "10.77.0.11", ANNA)) == ()
+
+
+def test_a_fingerprint_that_is_none_is_a_sentence(robots: PairedRobots) -> None:
+    robots.store(robot("Anna", "10.77.0.11", ANNA))
+    for bad in ("xyz", "01", "", "zz" * 32):
+        write_private(robots.path, msgspec.json.encode({"version": 1, "robots": [_raw(fingerprint=bad)]}))
+        with pytest.raises(ConfigError, match=r"damaged .*of 64 hexadecimal digits.*fingerprint.*correct it"):
+            robots.all()
+
+
+def test_what_a_terminal_would_obey_is_not_shown(robots: PairedRobots) -> None:
+    robots.check_writable()  # makes its folder
+    raw = _raw(name="A\x1b[2J\u202eanna", host="h\x07", robot_id="\x1b")
+    write_private(robots.path, msgspec.json.encode({"version": 1, "robots": [raw]}))
+    shown = CliRunner().invoke(app, ["robots", "--data", str(robots.path.parent.parent)])
+    assert shown.exit_code == 0 and is_printable(shown.output.rstrip("\n")) and "[2J" in shown.output
+
+
+def _raw(**changes: str) -> dict[str, object]:
+    return msgspec.to_builtins(robot("Anna", "10.77.0.11", ANNA)) | changes
