@@ -21,6 +21,8 @@ from station.config import parse_address, show_address
 logger = logging.getLogger(__name__)
 FILE_NAME = "robots.json"
 FINGERPRINT = r"^[0-9a-f]{64}\Z"
+SHORT_CERTIFICATE = 11  # signs: four bytes
+MIN_DIGITS = 4  # of a certificate, to mean a robot by it
 MAX_ADDRESSES = 16  # of one robot; beyond, the oldest is free again
 
 
@@ -47,6 +49,17 @@ class PairedRobot(msgspec.Struct, frozen=True, kw_only=True):
     def address(self) -> str:
         """HOST:PORT where it is known to be; empty: nowhere."""
         return show_address(self.host, self.port) if self.host else ""
+
+    @property
+    def short_certificate(self) -> str:
+        """The beginning of its fingerprint, as `station robots` shows it: enough to tell a person's robots apart."""
+        return show_fingerprint(bytes.fromhex(self.fingerprint))[:SHORT_CERTIFICATE]
+
+    def is_called(self, name: str) -> bool:
+        """By its name, id, host, or the beginning of its certificate."""
+        digits = name.replace(":", "").lower()
+        is_certificate = len(digits) >= MIN_DIGITS and self.fingerprint.startswith(digits)
+        return is_certificate or (name != "" and name in (self.name, self.robot_id, self.host))
 
     def moved_from(self, address: str) -> PairedRobot:
         """The same robot, no longer met at this address of its: the last other one that was given for it counts now."""
@@ -172,14 +185,23 @@ class PairedRobots:
             f" `station pair {address} --code CODE{self._data}`"
         )
 
-    def forget(self, name: str) -> list[PairedRobot]:
-        """Forget a robot by its name, id or host. Raises ConfigError: none has this name."""
+    def forget(self, name: str) -> PairedRobot:
+        """Forget the robot of this name, id, host or certificate (its beginning). Raises ConfigError: none, several."""
         with locked(self.path):
-            gone = [robot for robot in self.all() if name in (robot.name, robot.robot_id, robot.host)]
-            if not gone:
+            known = self.all()
+            meant = [robot for robot in known if robot.is_called(name)]
+            if not meant:
                 raise ConfigError(f"no paired robot is called {name!r}; `station robots` lists them")
-            self._write(tuple(robot for robot in self.all() if robot not in gone))
-        return gone
+            if len(meant) > 1:
+                which = ", ".join(
+                    f"{robot.name} {robot.address or 'address unknown'} {robot.short_certificate}" for robot in meant
+                )
+                raise ConfigError(
+                    f"{len(meant)} paired robots are called {name!r}: {which}; none was forgotten, say which by the"
+                    f" beginning of its certificate, as in `station robots --forget {meant[0].short_certificate}`"
+                )
+            self._write(tuple(robot for robot in known if robot != meant[0]))
+        return meant[0]
 
     def _write(self, robots: tuple[PairedRobot, ...]) -> None:
         write_private(self.path, msgspec.json.format(msgspec.json.encode(_File(robots=robots))))

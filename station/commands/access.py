@@ -150,7 +150,9 @@ def pair(
 def robots(
     data: Data = None,
     config: Config = None,
-    forget: Annotated[str | None, typer.Option(help="Name of a robot that shall not be trusted any more.")] = None,
+    forget: Annotated[
+        str | None, typer.Option(help="Robot not to trust any more: its name, or certificate's beginning.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """The robots this station is paired with."""

@@ -9,6 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from shared.access import Token
+from shared.certificates import show_fingerprint
 from shared.errors import ConfigError
 from shared.private_files import write_private
 from shared.text import is_printable
@@ -110,6 +111,30 @@ def test_what_a_terminal_would_obey_is_not_shown(robots: PairedRobots) -> None:
     write_private(robots.path, msgspec.json.encode({"version": 1, "robots": [raw]}))
     shown = CliRunner().invoke(app, ["robots", "--data", str(robots.path.parent.parent)])
     assert shown.exit_code == 0 and is_printable(shown.output.rstrip("\n")) and "[2J" in shown.output
+
+
+def test_of_two_robots_of_one_name_none_is_forgotten_until_the_certificate_says_which(robots: PairedRobots) -> None:
+    robots.store(robot("Robot a", "10.77.0.11", ANNA, "a"))
+    robots.store(robot("Robot a", "10.77.0.12", BERTA, "b"))
+    with pytest.raises(
+        ConfigError, match=r"2 paired robots are called 'Robot a': .*01:01:01:01.*02:02:02:02"
+    ) as several:
+        robots.forget("Robot a")
+    assert "`station robots --forget 01:01:01:01`" in str(several.value) and len(robots.all()) == 2
+    with pytest.raises(ConfigError, match="no paired robot"):
+        robots.forget("02:")
+    assert robots.forget("02:02:02:02").fingerprint == BERTA.hex()
+    assert robots.forget("Robot a").fingerprint == ANNA.hex()
+    assert robots.all() == ()
+
+
+def test_a_robot_is_forgotten_by_its_whole_certificate_and_none_by_nothing(robots: PairedRobots) -> None:
+    robots.store(robot("Berta", "10.77.0.12", BERTA))
+    robots.store(robot("Carla", "10.77.0.12", CARLA))
+    with pytest.raises(ConfigError, match="no paired robot"):
+        robots.forget("")  # Berta has no address
+    assert robots.forget(show_fingerprint(BERTA).upper()).name == "Berta"
+    assert robots.forget("10.77.0.12").name == "Carla"
 
 
 def _raw(**changes: str) -> dict[str, object]:
