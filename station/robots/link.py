@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import secrets
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 
 import msgspec
@@ -290,13 +291,16 @@ class RobotLink:
         raise _Ended
 
     async def _write(self, writer: asyncio.StreamWriter) -> None:
-        writer.transport.set_write_buffer_limits(high=1, low=0)  # 0 would pause a TLS transport for ever
+        with _closed_is_lost():
+            writer.transport.set_write_buffer_limits(high=1, low=0)  # 0 would pause a TLS transport for ever
         while True:
             await self._due.wait()
             while (message := self._due.pop()) is not None:
                 if self._session.state is State.CLOSED:
                     raise _Ended  # the reader saw the end while we waited: what was due is said to nobody
-                writer.write(self._session.send(message))
+                data = self._session.send(message)
+                with _closed_is_lost():
+                    writer.write(data)
                 await writer.drain()
 
     async def _tick(self) -> None:
@@ -479,6 +483,15 @@ def _warn(said: Repetition, line: str) -> None:
     """A robot may say ever other things, thousands a second: no log would hold them."""
     if (news := said.news(line)) is not None:
         logger.warning("%s", news)
+
+
+@contextlib.contextmanager
+def _closed_is_lost() -> Iterator[None]:
+    """uvloop's transport raises RuntimeError where it was closed and its reader does not know yet."""
+    try:
+        yield
+    except RuntimeError as exc:
+        raise ConnectionResetError(str(exc)) from exc
 
 
 def _find_in_network(seconds: float, paired: Collection[str]) -> Collection[FoundRobot]:
