@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
+from msgspec.structs import force_setattr
 
 from shared.access import Token
 from shared.advice import option
@@ -14,10 +15,14 @@ from shared.certificates import show_fingerprint
 from shared.errors import ConfigError
 from shared.listening import is_loopback
 from shared.private_files import locked, make_private_folder, read_private, write_private
-from station.config import show_address
+from shared.text import explain, printable
+from station.config import parse_address, show_address
 
 logger = logging.getLogger(__name__)
 FILE_NAME = "robots.json"
+FINGERPRINT = r"^[0-9a-f]{64}\Z"
+SHORT_CERTIFICATE = 11  # signs: four bytes
+MIN_DIGITS = 4  # of a certificate, to mean a robot by it
 MAX_ADDRESSES = 16  # of one robot; beyond, the oldest is free again
 
 
@@ -26,16 +31,43 @@ class PairedRobot(msgspec.Struct, frozen=True, kw_only=True):
 
     robot_id: str
     name: str
-    host: str  # where it was when it was paired
+    host: str  # where it was when it was paired; empty: another robot was paired there since
     port: int
-    fingerprint: str  # hex SHA-256 of its certificate
+    fingerprint: Annotated[str, msgspec.Meta(pattern=FINGERPRINT)]  # hex SHA-256 of its certificate
     token: str
     also_at: tuple[str, ...] = ()  # further HOST:PORT that were given for it; no other robot is met there
 
+    def __post_init__(self) -> None:
+        for field in ("robot_id", "name", "host"):  # a file may hold what a terminal would obey
+            force_setattr(self, field, printable(getattr(self, field)))
+
     def is_at(self, host: str, port: int) -> bool:
         """Whether this address, as a person gives it, means this robot."""
-        here = show_address(host, port).lower()
-        return here in (show_address(self.host, self.port).lower(), *self.also_at)
+        return show_address(host, port).lower() in (self.address.lower(), *self.also_at)
+
+    @property
+    def address(self) -> str:
+        """HOST:PORT where it is known to be; empty: nowhere."""
+        return show_address(self.host, self.port) if self.host else ""
+
+    @property
+    def short_certificate(self) -> str:
+        """The beginning of its fingerprint, as `station robots` shows it: enough to tell a person's robots apart."""
+        return show_fingerprint(bytes.fromhex(self.fingerprint))[:SHORT_CERTIFICATE]
+
+    def is_called(self, name: str) -> bool:
+        """By its name, id, host, or the beginning of its certificate."""
+        digits = name.replace(":", "").lower()
+        is_certificate = len(digits) >= MIN_DIGITS and self.fingerprint.startswith(digits)
+        return is_certificate or (name != "" and name in (self.name, self.robot_id, self.host))
+
+    def moved_from(self, address: str) -> PairedRobot:
+        """The same robot, no longer met at this address of its: the last other one that was given for it counts now."""
+        also_at = _without(self.also_at, address)
+        if self.address.lower() != address:
+            return msgspec.structs.replace(self, also_at=also_at)
+        host, port = parse_address(also_at[-1], FILE_NAME) if also_at else ("", self.port)
+        return msgspec.structs.replace(self, host=host, port=port, also_at=also_at[:-1])
 
     def __repr__(self) -> str:
         return f"PairedRobot({self.name!r}, {show_fingerprint(bytes.fromhex(self.fingerprint))})"
@@ -63,7 +95,8 @@ class PairedRobots:
         try:
             return msgspec.json.decode(content, type=_File).robots
         except msgspec.DecodeError as exc:
-            raise ConfigError(f"{self.path} is damaged ({exc}); delete it and pair again") from exc
+            said = explain(exc).replace(f"matching regex {FINGERPRINT!r}", "of 64 hexadecimal digits")
+            raise ConfigError(f"{self.path} is damaged ({said}); correct it, or delete it and pair again") from exc
 
     def needs_tls(self, host: str, port: int, address: str) -> bool:
         """Whether a robot is met by TLS only: it was paired under this name, or others reach this address too."""
@@ -83,7 +116,7 @@ class PairedRobots:
             return self._in_its_place(show_address(host, port), owner, robot, fingerprint)
         known = self.recognise_anywhere(fingerprint, host, port)
         if owner is None and not isinstance(known, str):
-            self._note_address(known[0], show_address(host, port).lower())
+            self._note_address(known[0], host, port)
         return known
 
     def recognise_anywhere(self, fingerprint: bytes, host: str, port: int) -> tuple[PairedRobot, Token] | str:
@@ -104,24 +137,35 @@ class PairedRobots:
         with locked(self.path):
             self._write(self.all())
 
-    def store(self, robot: PairedRobot) -> None:
-        """Add a robot; it replaces one with the same certificate or address."""
+    def store(self, robot: PairedRobot) -> tuple[PairedRobot, ...]:
+        """Add a robot; returns the others that had its address. These lose it, and stay paired: routers give addresses
+        anew. One with the same id is this robot before it was set up anew, and is replaced.
+        """
         make_private_folder(self.path.parent)
-        address = show_address(robot.host, robot.port).lower()
+        address = robot.address.lower()
         with locked(self.path):
-            others = []
-            for known in self.all():
-                if known.fingerprint == robot.fingerprint:
-                    robot = msgspec.structs.replace(robot, also_at=_without(known.also_at, address))
-                elif show_address(known.host, known.port).lower() != address:
-                    others.append(msgspec.structs.replace(known, also_at=_without(known.also_at, address)))
-            self._write((*others, robot))
+            known = self.all()
+            before = tuple(k for k in known if k.is_at(robot.host, robot.port) and k.fingerprint != robot.fingerprint)
+            kept = []
+            for other in known:
+                if other.fingerprint == robot.fingerprint:
+                    robot = msgspec.structs.replace(robot, also_at=_without(other.also_at, address))
+                elif other not in before:
+                    kept.append(other)
+                elif other.robot_id != robot.robot_id:
+                    kept.append(other.moved_from(address))
+            self._write((*kept, robot))
+        return before
 
-    def _note_address(self, robot: PairedRobot, address: str) -> None:
+    def _note_address(self, robot: PairedRobot, host: str, port: int) -> None:
         """From now on nobody else is met at this address."""
+        address = show_address(host, port).lower()
+        if robot.host:
+            noted = msgspec.structs.replace(robot, also_at=(*robot.also_at, address)[-MAX_ADDRESSES:])
+        else:
+            noted = msgspec.structs.replace(robot, host=host, port=port)
         try:
             with locked(self.path):
-                noted = msgspec.structs.replace(robot, also_at=(*robot.also_at, address)[-MAX_ADDRESSES:])
                 self._write(tuple(noted if known == robot else known for known in self.all()))
         except ConfigError as exc:  # a disk that takes no writes must not keep the robot from being used
             logger.warning("that %s means %s cannot be noted: %s", address, robot.name, exc)
@@ -141,14 +185,23 @@ class PairedRobots:
             f" `station pair {address} --code CODE{self._data}`"
         )
 
-    def forget(self, name: str) -> list[PairedRobot]:
-        """Forget a robot by its name, id or host. Raises ConfigError: none has this name."""
+    def forget(self, name: str) -> PairedRobot:
+        """Forget the robot of this name, id, host or certificate (its beginning). Raises ConfigError: none, several."""
         with locked(self.path):
-            gone = [robot for robot in self.all() if name in (robot.name, robot.robot_id, robot.host)]
-            if not gone:
+            known = self.all()
+            meant = [robot for robot in known if robot.is_called(name)]
+            if not meant:
                 raise ConfigError(f"no paired robot is called {name!r}; `station robots` lists them")
-            self._write(tuple(robot for robot in self.all() if robot not in gone))
-        return gone
+            if len(meant) > 1:
+                which = ", ".join(
+                    f"{robot.name} {robot.address or 'address unknown'} {robot.short_certificate}" for robot in meant
+                )
+                raise ConfigError(
+                    f"{len(meant)} paired robots are called {name!r}: {which}; none was forgotten, say which by the"
+                    f" beginning of its certificate, as in `station robots --forget {meant[0].short_certificate}`"
+                )
+            self._write(tuple(robot for robot in known if robot != meant[0]))
+        return meant[0]
 
     def _write(self, robots: tuple[PairedRobot, ...]) -> None:
         write_private(self.path, msgspec.json.format(msgspec.json.encode(_File(robots=robots))))

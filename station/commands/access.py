@@ -22,7 +22,7 @@ from shared.pairing import parse_code
 from shared.token_book import TokenBook, TokenRecord
 from shared.token_lines import revoke_token, show_tokens
 from station.access.expiry import expiry_sentence
-from station.access.paired_robots import PairedRobots
+from station.access.paired_robots import PairedRobot, PairedRobots
 from station.access.pairing import confirm
 from station.access.pairing import pair as pair_with
 from station.access.visitors import LINK_S, access_folder
@@ -134,9 +134,11 @@ def pair(
     known, digits = _robots(data, config), parse_code(code)
     known.check_writable()
     paired = asyncio.run(pair_with(host, port, digits, station_name))
-    known.store(paired)
+    before = known.store(paired)
     if unconfirmed := asyncio.run(confirm(paired)):
         print(unconfirmed, file=sys.stderr)
+    for other in before:
+        print(_lost_its_address(other, paired), file=sys.stderr)
     shown = show_fingerprint(bytes.fromhex(paired.fingerprint))
     if as_json:
         print(json.dumps({"robot": paired.name, "host": host, "port": port, "fingerprint": paired.fingerprint}))
@@ -148,7 +150,9 @@ def pair(
 def robots(
     data: Data = None,
     config: Config = None,
-    forget: Annotated[str | None, typer.Option(help="Name of a robot that shall not be trusted any more.")] = None,
+    forget: Annotated[
+        str | None, typer.Option(help="Robot not to trust any more: its name, or certificate's beginning.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """The robots this station is paired with."""
@@ -160,9 +164,21 @@ def robots(
         print(json.dumps([dict(zip(("name", "host", "port", "fingerprint"), r, strict=True)) for r in known]))
         return
     for name, host, port, fingerprint in known:
-        print(f"{name}  {show_address(host, port)}  certificate {show_fingerprint(bytes.fromhex(fingerprint))}")
+        address = show_address(host, port) if host else "address unknown"
+        print(f"{name}  {address}  certificate {show_fingerprint(bytes.fromhex(fingerprint))}")
     if not known:
         print("none")
+
+
+def _lost_its_address(other: PairedRobot, paired: PairedRobot) -> str:
+    """What became of the robot that was at the address of the one that was just paired."""
+    who = f"{other.name} (certificate {show_fingerprint(bytes.fromhex(other.fingerprint))})"
+    if other.robot_id == paired.robot_id:
+        return f"{who}, with the same id, was paired at {paired.address} before and is replaced"
+    return (
+        f"{who} was paired at {paired.address} before and is no longer looked for there: it stays paired, so give its"
+        " new address, or auto, to `station serve --robot`"
+    )
 
 
 def _make_certificate(folder: Path, names: list[str]) -> None:

@@ -76,12 +76,14 @@ class Driving:
         on_command: Callable[[str, float, float, int], None] = lambda *_: None,
         must_stand: Callable[[], str] = lambda: "",
         other_station: Callable[[], str | None] = lambda: None,
+        why_alone: Callable[[], str] = lambda: "",
     ) -> None:
         """`on_command` gets what was sent to the robot: driver, m/s, rad/s, ms to live.
 
         `must_stand` says why the robot may not move, in a sentence; empty when it may. `other_station` names the one
-        that drives it, as the robot says: it would refuse our commands.
+        that drives it, as the robot says: it would refuse our commands. `why_alone` says why no robot is connected.
         """
+        self._why_alone = why_alone
         self._other_station = other_station
         self._must_stand = must_stand
         self._on_command = on_command
@@ -260,7 +262,12 @@ class Driving:
     def _require_robot(self) -> Capabilities:
         able = self._capabilities()
         if able is None:
-            raise NoRobot("no robot is connected; start robot-server, or give its address with --robot")
+            why = self._why_alone()
+            raise NoRobot(
+                f"no robot is connected: {why}"
+                if why
+                else "no robot is connected; start robot-server, or give its address with --robot"
+            )
         return able
 
     def _require_drive(self) -> Capabilities:

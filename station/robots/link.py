@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import secrets
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 
 import msgspec
@@ -97,11 +98,13 @@ class RobotLink:
         self._other_way: Connection | None = None  # opened when the present one carried nothing, to go on with
         self._datagrams: PictureDatagrams | None = None
         self._retry_s = RETRY_S
+        self._is_refused = False  # somebody must do something first
         self._session = Session("station", now_ns())
         self._due = DueMessages()
         self._silence = asyncio.Event()
         self.commands = LinkCommands(self._due, now_ns, late_ms=lambda: self._delays.late_ms)
         self.commands.on_command = self._send_beside
+        self.on_refused: Callable[[str], None] = lambda _: None  # gets why somebody must do something, as it changes
         self._connected = False
         self._reason = "not connected yet"
         self._hello: Hello | None = None
@@ -115,6 +118,8 @@ class RobotLink:
         self._status: Status | None = None
         self._notice: ErrorNotice | None = None
         self._warnings = Repetition(MAX_WARNINGS)
+        self._refusals = Repetition(MAX_WARNINGS)
+        self._told_refusal = ""
         self._losses = Repetition(MAX_WARNINGS)  # of its own: a robot that warns without end must not hide its end
 
     @property
@@ -171,7 +176,7 @@ class RobotLink:
                 self._other_way.writer.transport.abort()
 
     async def _run_once(self) -> None:
-        was_connected = False
+        was_connected = self._is_refused = False
         self._retry_s = RETRY_S
         search = self._search if self._other_way is None else None
         try:
@@ -181,8 +186,13 @@ class RobotLink:
             self.commands.close()
             self._rates = RateMeter()  # nothing arrives now
         if was_connected:
+            self._told_refusal = ""
             _warn(self._losses, f"robot lost: {self._reason}")
             self._listener.on_disconnected(self._reason)
+        elif self._is_refused and self._reason != self._told_refusal:
+            self._told_refusal = self._reason
+            _warn(self._refusals, f"no robot is connected: {self._reason}")
+            self.on_refused(self._reason)
 
     async def _find_and_connect(self, search: RobotSearch) -> str:
         """Try who makes itself known; returns the sentence why there is no connection any longer."""
@@ -208,7 +218,7 @@ class RobotLink:
         except OSError as exc:
             return f"{in_words(exc, address)}; start robot-server there"
         except (ConnectionRefused, ConfigError) as exc:
-            self._retry_s = REFUSED_RETRY_S
+            self._retry_s, self._is_refused = REFUSED_RETRY_S, True
             return str(exc)
         except UnicodeError as exc:  # no name that DNS could hold, such as a..b
             logger.info("%s: %s", self._host, exc)
@@ -216,7 +226,7 @@ class RobotLink:
         writer = connection.writer
         if self._search is not None and (refusal := self._search.refusal(connection.fingerprint)):
             writer.transport.abort()
-            self._retry_s = REFUSED_RETRY_S
+            self._retry_s, self._is_refused = REFUSED_RETRY_S, True
             return refusal
         self._connection = connection
         self._session = Session("station", self._now_ns(), join_within_ns=GREETED_WITHIN_NS)
@@ -281,13 +291,16 @@ class RobotLink:
         raise _Ended
 
     async def _write(self, writer: asyncio.StreamWriter) -> None:
-        writer.transport.set_write_buffer_limits(high=1, low=0)  # 0 would pause a TLS transport for ever
+        with _closed_is_lost():
+            writer.transport.set_write_buffer_limits(high=1, low=0)  # 0 would pause a TLS transport for ever
         while True:
             await self._due.wait()
             while (message := self._due.pop()) is not None:
                 if self._session.state is State.CLOSED:
                     raise _Ended  # the reader saw the end while we waited: what was due is said to nobody
-                writer.write(self._session.send(message))
+                data = self._session.send(message)
+                with _closed_is_lost():
+                    writer.write(data)
                 await writer.drain()
 
     async def _tick(self) -> None:
@@ -382,6 +395,7 @@ class RobotLink:
                     self._ask_datagrams(self._hello)
                     self._listener.on_connected(self._hello)
             case Refusal():
+                self._is_refused = True
                 self._retry_s = REFUSED_RETRY_S if self._hello is not None and self._hello.challenge else RETRY_S
                 self._session.close_reason = f"the robot refused this station: {message.reason}"
             case _:
@@ -469,6 +483,15 @@ def _warn(said: Repetition, line: str) -> None:
     """A robot may say ever other things, thousands a second: no log would hold them."""
     if (news := said.news(line)) is not None:
         logger.warning("%s", news)
+
+
+@contextlib.contextmanager
+def _closed_is_lost() -> Iterator[None]:
+    """uvloop's transport raises RuntimeError where it was closed and its reader does not know yet."""
+    try:
+        yield
+    except RuntimeError as exc:
+        raise ConnectionResetError(str(exc)) from exc
 
 
 def _find_in_network(seconds: float, paired: Collection[str]) -> Collection[FoundRobot]:

@@ -117,6 +117,7 @@ class RobotSession(IgnoringListener):
         parts = (self.current_navigation, self.current_place, self.guided_calibration, self.ahead)
         listeners = CheckedPictures(self._refuse_picture, *parts, self)
         self.link = RobotLink(robot.host, robot.port, listeners, station_name=config.name, robots=shared.paired)
+        self.link.on_refused = lambda reason: self._warn("link", f"no robot is connected: {reason}")
         self.link.commands.must_stand = lambda: self.must_stand != ""
         self.driving = Driving(
             self.link.commands,
@@ -127,6 +128,7 @@ class RobotSession(IgnoringListener):
             on_command=self.current_navigation.on_command,
             must_stand=lambda: self.must_stand,
             other_station=lambda: self.other_station,
+            why_alone=lambda: self.link.state.reason,
         )
 
     async def run(self) -> None:

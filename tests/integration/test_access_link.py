@@ -176,7 +176,9 @@ async def test_another_certificate_at_a_known_address_is_refused_before_a_word_i
             assert not link.state.connected and not bench.heard
 
 
-async def test_another_paired_robot_at_a_known_address_is_refused_and_hears_nothing(tmp_path: Path) -> None:
+async def test_another_paired_robot_at_a_known_address_is_refused_and_hears_nothing(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """Two robots that swap their addresses must not swap drivers."""
     robots = PairedRobots(tmp_path / "station", data_dir=tmp_path)
     async with guarded_robot(tmp_path / "anna") as anna, guarded_robot(tmp_path / "berta") as berta:
@@ -198,6 +200,9 @@ async def test_another_paired_robot_at_a_known_address_is_refused_and_hears_noth
             assert f"--code CODE --data {tmp_path}`" in link.state.reason
             assert not link.commands.drive(0.2, 0.0, 200)
             assert not link.state.connected and not berta.heard
+            assert [line for line in caplog.messages if "is Anna's" in line] == [
+                f"no robot is connected: {link.state.reason}"
+            ]
             assert all((linear, angular) == (0.0, 0.0) for _, linear, angular in berta.motors.history)
 
 

@@ -8,6 +8,7 @@ from contextlib import asynccontextmanager
 
 import pytest
 
+from station.robots.link import RobotLink
 from tests.support.fault_proxy import FaultProxy
 from tests.support.link import Bench, Notes, linked, running_robot, until
 
@@ -60,6 +61,39 @@ async def test_a_half_open_connection_is_noticed_and_made_anew() -> None:
         await until(lambda: len(notes.hellos) >= 2)
         bench.imu.inject(5)
         await until(lambda: notes.sequences[-5:] == list(range(bench.imu.next_sequence - 5, bench.imu.next_sequence)))
+
+
+async def test_a_transport_that_is_closed_already_ends_the_connection_and_not_the_link(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A robot that was killed: uvloop's transport is closed before the reader is told, and takes no bytes then."""
+
+    def refuse(_: bytes) -> None:
+        raise RuntimeError("unable to perform operation on <TCPTransport closed=True>; the handler is closed")
+
+    async with running_robot() as bench, linked(bench.port) as (link, notes):
+        connection = link._connection
+        assert connection is not None
+        monkeypatch.setattr(connection.writer, "write", refuse)
+        await until(lambda: len(notes.hellos) == 2)
+        assert notes.reasons == [f"connection lost: 127.0.0.1:{bench.port} closed the connection"]
+
+
+def test_what_uvloop_says_of_a_closed_transport_is_a_lost_connection() -> None:
+    uvloop = pytest.importorskip("uvloop")
+
+    async def write_too_late() -> None:
+        async with running_robot() as bench:
+            _, writer = await asyncio.open_connection("127.0.0.1", bench.port)
+            writer.transport.abort()
+            await asyncio.sleep(0.05)
+            with pytest.raises(RuntimeError, match="handler is closed"):
+                writer.write(b"x")
+            with pytest.raises(ConnectionResetError):
+                await RobotLink("127.0.0.1", bench.port, Notes())._write(writer)
+
+    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+        runner.run(write_too_late())
 
 
 @pytest.mark.parametrize("direction", ["to robot", "to station"])

@@ -85,6 +85,31 @@ async def test_a_token_that_reached_its_station_lasts(tmp_path: Path, how: str) 
             await until(lambda: link.state.connected)
 
 
+async def test_pairing_at_the_address_of_another_robot_says_so_and_leaves_it_paired(tmp_path: Path) -> None:
+    """A router gave the old one's address to the new one: the old one is driven at its new address, without a code."""
+    data = tmp_path / "data"
+    robots = PairedRobots(data / "access")
+    async with guarded_robot(tmp_path / "old") as old, guarded_robot(tmp_path / "new") as new:
+        old.admit("desk", Role.DRIVE, robots)
+        stored = robots.all()[0]
+        robots.store(msgspec.structs.replace(stored, robot_id="old", name="Old", port=new.port))
+        command = ["pair", f"127.0.0.1:{new.port}", "--data", str(data), "--code"]
+        code = new.gate.desk.open_code(Role.DRIVE, time.time())
+        paired = await asyncio.to_thread(CliRunner().invoke, app, [*command, code])
+        assert paired.exit_code == 0 and paired.output.count("it stays paired") == 1
+        assert f"was paired at 127.0.0.1:{new.port} before and is no longer looked for there" in paired.output
+        # As a robot beyond loopback would be met.
+        connection = await connect_by_tls("127.0.0.1", old.port)
+        assert not isinstance(robots.recognise(connection.fingerprint, "127.0.0.1", old.port), str)
+        connection.writer.transport.abort()
+        for bench in (old, new):
+            async with linked(bench.port, robots) as (link, _):
+                await until(lambda link=link: link.state.connected)
+        code = new.gate.desk.open_code(Role.DRIVE, time.time())
+        again = await asyncio.to_thread(CliRunner().invoke, app, [*command, code])
+        assert again.exit_code == 0 and "looked for" not in again.output
+
+
 async def test_who_cannot_use_its_token_at_once_says_what_to_do(tmp_path: Path) -> None:
     async with guarded_robot(tmp_path / "robot") as bench:
         paired = await pair("127.0.0.1", bench.port, bench.gate.desk.open_code(Role.DRIVE, time.time()), "desk")

@@ -8,7 +8,7 @@ import pytest
 
 from shared.messages import MAX_DRIVE_TTL_MS, Capabilities, Drive
 from station.config import DriveConfig
-from station.errors import Conflict, NotDriver, OutOfRange
+from station.errors import Conflict, NoRobot, NotDriver, OutOfRange
 from station.robots.driving import Driving
 from station.robots.link_commands import DueMessages, LinkCommands
 
@@ -222,4 +222,11 @@ def test_a_stop_holds_while_commands_come_too_late() -> None:
     desk.note_late("anna")
     clock[0] = 800 * MS
     with pytest.raises(Conflict, match="let go"):
+        desk.drive("anna", 0.1, 0.0, 200)
+
+
+def test_who_cannot_drive_hears_why_no_robot_is_connected() -> None:
+    why = "10.77.0.12:7400 is Anna's, and Berta is there"
+    desk = Driving(Link(), DriveConfig(), lambda: None, lambda _: None, lambda _: None, why_alone=lambda: why)
+    with pytest.raises(NoRobot, match=f"no robot is connected: {why}"):
         desk.drive("anna", 0.1, 0.0, 200)

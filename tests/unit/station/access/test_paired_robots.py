@@ -1,0 +1,141 @@
+"""Which robot is met at which address, and who stays paired when addresses go to others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import pytest
+from typer.testing import CliRunner
+
+from shared.access import Token
+from shared.certificates import show_fingerprint
+from shared.errors import ConfigError
+from shared.private_files import write_private
+from shared.text import is_printable
+from station.access.paired_robots import PairedRobot, PairedRobots
+from station.access.visitors import access_folder
+from station.main import app
+
+ANNA, BERTA, CARLA = (bytes([n] * 32) for n in (1, 2, 3))
+
+
+def robot(name: str, host: str, fingerprint: bytes, robot_id: str = "") -> PairedRobot:
+    return PairedRobot(
+        robot_id=robot_id or name.lower(),
+        name=name,
+        host=host,
+        port=7400,
+        fingerprint=fingerprint.hex(),
+        token=Token.new().text,
+    )
+
+
+@pytest.fixture
+def robots(tmp_path: Path) -> PairedRobots:
+    return PairedRobots(access_folder(tmp_path))
+
+
+def is_taken(robots: PairedRobots, fingerprint: bytes, host: str) -> bool:
+    return not isinstance(robots.recognise(fingerprint, host, 7400), str)
+
+
+def test_a_new_robot_at_an_old_ones_address_does_not_unpair_it(robots: PairedRobots) -> None:
+    berta = robot("Berta", "10.77.0.12", BERTA)
+    robots.store(berta)
+    assert is_taken(robots, BERTA, "10.77.0.14")  # the router gave it another address
+    (before,) = robots.store(robot("Carla", "10.77.0.12", CARLA))
+    assert before.name == "Berta"
+    kept = next(one for one in robots.all() if one.name == "Berta")
+    assert (kept.token, kept.host, kept.port, kept.also_at) == (berta.token, "10.77.0.14", 7400, ())
+    assert is_taken(robots, BERTA, "10.77.0.14") and is_taken(robots, CARLA, "10.77.0.12")
+    assert not is_taken(robots, BERTA, "10.77.0.12") and not is_taken(robots, CARLA, "10.77.0.14")
+
+
+def test_a_robot_without_another_address_has_none_until_it_is_met_at_a_new_one(robots: PairedRobots) -> None:
+    robots.store(robot("Berta", "10.77.0.12", BERTA))
+    robots.store(robot("Carla", "10.77.0.12", CARLA))
+    assert [(one.name, one.address) for one in robots.all()] == [("Berta", ""), ("Carla", "10.77.0.12:7400")]
+    assert not isinstance(robots.recognise_anywhere(BERTA, "10.77.0.99", 7400), str)  # found by `auto`
+    assert is_taken(robots, BERTA, "fd00::14")
+    assert [(one.name, one.address) for one in robots.all()] == [
+        ("Berta", "[fd00::14]:7400"),
+        ("Carla", "10.77.0.12:7400"),
+    ]
+    assert not is_taken(robots, CARLA, "fd00::14")
+    robots.store(robot("Anna", "fd00::14", ANNA))
+    assert {one.name: one.address for one in robots.all()}["Berta"] == ""
+
+
+def test_an_ipv6_address_that_was_given_later_becomes_the_one_where_it_is(robots: PairedRobots) -> None:
+    robots.store(robot("Berta", "10.77.0.12", BERTA))
+    assert is_taken(robots, BERTA, "fd00::14")
+    robots.store(robot("Carla", "10.77.0.12", CARLA))
+    assert {one.name: (one.host, one.port) for one in robots.all()}["Berta"] == ("fd00::14", 7400)
+
+
+def test_two_that_swapped_addresses_need_one_code_and_never_answer_for_each_other(robots: PairedRobots) -> None:
+    robots.store(robot("Anna", "10.77.0.11", ANNA))
+    robots.store(robot("Berta", "10.77.0.12", BERTA))
+    assert not is_taken(robots, ANNA, "10.77.0.12") and not is_taken(robots, BERTA, "10.77.0.11")
+    robots.store(robot("Berta", "10.77.0.11", BERTA))  # as the sentence advises
+    assert {one.name for one in robots.all()} == {"Anna", "Berta"}
+    assert is_taken(robots, ANNA, "10.77.0.12") and is_taken(robots, BERTA, "10.77.0.11")
+    assert not is_taken(robots, ANNA, "10.77.0.11") and not is_taken(robots, BERTA, "10.77.0.12")
+
+
+def test_a_robot_that_was_set_up_anew_is_replaced(robots: PairedRobots) -> None:
+    robots.store(robot("Anna", "10.77.0.11", ANNA))
+    (before,) = robots.store(robot("Anna", "10.77.0.11", CARLA))
+    assert before.fingerprint == ANNA.hex()
+    assert [one.fingerprint for one in robots.all()] == [CARLA.hex()]
+
+
+def test_pairing_again_says_nothing_of_itself_or_of_robots_elsewhere(robots: PairedRobots) -> None:
+    assert robots.store(robot("Anna", "10.77.0.11", ANNA)) == ()
+    assert robots.store(robot("Berta", "10.77.0.12", BERTA)) == ()
+    assert robots.store(robot("Anna", "10.77.0.11", ANNA)) == ()
+
+
+def test_a_fingerprint_that_is_none_is_a_sentence(robots: PairedRobots) -> None:
+    robots.store(robot("Anna", "10.77.0.11", ANNA))
+    for bad in ("xyz", "01", "", "zz" * 32):
+        write_private(robots.path, msgspec.json.encode({"version": 1, "robots": [_raw(fingerprint=bad)]}))
+        with pytest.raises(ConfigError, match=r"damaged .*of 64 hexadecimal digits.*fingerprint.*correct it"):
+            robots.all()
+
+
+def test_what_a_terminal_would_obey_is_not_shown(robots: PairedRobots) -> None:
+    robots.check_writable()  # makes its folder
+    raw = _raw(name="A\x1b[2J\u202eanna", host="h\x07", robot_id="\x1b")
+    write_private(robots.path, msgspec.json.encode({"version": 1, "robots": [raw]}))
+    shown = CliRunner().invoke(app, ["robots", "--data", str(robots.path.parent.parent)])
+    assert shown.exit_code == 0 and is_printable(shown.output.rstrip("\n")) and "[2J" in shown.output
+
+
+def test_of_two_robots_of_one_name_none_is_forgotten_until_the_certificate_says_which(robots: PairedRobots) -> None:
+    robots.store(robot("Robot a", "10.77.0.11", ANNA, "a"))
+    robots.store(robot("Robot a", "10.77.0.12", BERTA, "b"))
+    with pytest.raises(
+        ConfigError, match=r"2 paired robots are called 'Robot a': .*01:01:01:01.*02:02:02:02"
+    ) as several:
+        robots.forget("Robot a")
+    assert "`station robots --forget 01:01:01:01`" in str(several.value) and len(robots.all()) == 2
+    with pytest.raises(ConfigError, match="no paired robot"):
+        robots.forget("02:")
+    assert robots.forget("02:02:02:02").fingerprint == BERTA.hex()
+    assert robots.forget("Robot a").fingerprint == ANNA.hex()
+    assert robots.all() == ()
+
+
+def test_a_robot_is_forgotten_by_its_whole_certificate_and_none_by_nothing(robots: PairedRobots) -> None:
+    robots.store(robot("Berta", "10.77.0.12", BERTA))
+    robots.store(robot("Carla", "10.77.0.12", CARLA))
+    with pytest.raises(ConfigError, match="no paired robot"):
+        robots.forget("")  # Berta has no address
+    assert robots.forget(show_fingerprint(BERTA).upper()).name == "Berta"
+    assert robots.forget("10.77.0.12").name == "Carla"
+
+
+def _raw(**changes: str) -> dict[str, object]:
+    return msgspec.to_builtins(robot("Anna", "10.77.0.11", ANNA)) | changes
