@@ -87,7 +87,8 @@ def _restore(store: MapStore, contents: Contents, path: Path) -> BackupReport:
                 found.add(archive, member)
     except (Refused, *_NO_ARCHIVE) as exc:
         if not found.records:
-            raise DataError(f"{path} is no backup ({exc}); give a file written by `station map backup`") from exc
+            why = found.damaged[0].removeprefix(f"{path}: ") if found.damaged else exc
+            raise DataError(f"{path} is no backup ({why}); give a file written by `station map backup`") from exc
         found.damaged.append(f"{path} ends early ({exc}); what came before was restored")
     except OSError as exc:
         raise DataError(f"{path} cannot be read ({exc.strerror}); give a file written by `station map backup`") from exc
