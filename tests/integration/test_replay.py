@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 import pytest
 from typer.testing import CliRunner
 
+from robot.simulation.atlas import default_cache_dir
+from robot.simulation.config import SimulationConfig
+from robot.simulation.recording import record_drive
+from robot.simulation.routes import plan_route
+from robot.simulation.worlds import make_world
 from station.commands.replay import Metronome
-from station.datasets import open_dataset
+from station.datasets import Dataset, open_dataset
 from station.main import app
+from station.model.frames import ImageFrame
+from station.model.slam_update import SlamUpdate
+from station.slam.ukf.backend import UkfBackend
 from station.vision.features import FeatureExtractor, Features, extract_encoded
 from station.workers.replay import ReplayOptions
 from station.workers.replay import replay as replay_drive
-from tests.support.made_up_workers import StraightSlam, made_up_navigation
+from tests.support.made_up_workers import StraightSlam, focal_fit, made_up_navigation
 from tests.support.paths import RECORDINGS
 from tests.support.recordings import record_made_up_room
 
@@ -23,7 +32,7 @@ pytestmark = pytest.mark.computing
 
 KEYFRAMES = RECORDINGS / "euroc_v1_01_keyframes"
 MADE_UP = "tests.support.made_up_workers:StraightSlam"
-MISFIT = "tests.support.made_up_workers:MisfitSlam"
+MISFIT = "tests.integration.test_replay:MisfitUkf"
 DESCRIBING = "tests.integration.test_replay:DescribingSlam"
 
 
@@ -57,12 +66,30 @@ def test_the_same_recording_gives_the_same_bits(tmp_path: Path) -> None:
     assert in_its_map["map"] == first["map"]
 
 
-def test_a_recordings_own_fit_of_its_calibration_counts_as_in_the_running_station(tmp_path: Path) -> None:
-    data = open_dataset(record_made_up_room(tmp_path / "drive.mcap"))
-    replayed = replay_drive(data, ReplayOptions(MADE_UP))
+@pytest.fixture(scope="module")
+def simulated_drive(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """Nine seconds in a furnished room."""
+    path = tmp_path_factory.mktemp("simulated") / "drive"
+    config = SimulationConfig(camera_rate_hz=12.0)
+    room = make_world("room", 1, config)
+    route = plan_route(room, "local", 0, config.body.radius_m)
+    record_drive(room, route, config, 0, path, default_cache_dir(), max_duration_s=9.0)
+    return open_dataset(path)
+
+
+class MisfitUkf(UkfBackend):
+    """Finds the focal length 3 % too long."""
+
+    def add_frame(self, frame: ImageFrame) -> SlamUpdate:
+        return replace(super().add_frame(frame), calibration_fit=focal_fit(0.97))
+
+
+def test_a_recordings_own_fit_of_its_calibration_counts_as_in_the_running_station(simulated_drive: Dataset) -> None:
+    replayed = replay_drive(simulated_drive, ReplayOptions("ukf"))
     known_map = replayed.place_map
     assert "known" in {answer.state for answer in replayed.answers}
-    misfits = replay_drive(data, ReplayOptions(MISFIT), known_map).answers
+    first, *misfits = replay_drive(simulated_drive, ReplayOptions(MISFIT), known_map).answers
+    assert first.state == "known"  # SLAM has said nothing yet
     assert "known" not in {answer.state for answer in misfits}
     assert any(answer.reason.startswith("the calibration does not fit") for answer in misfits)
 
