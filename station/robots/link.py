@@ -34,7 +34,6 @@ from shared.messages import (
     Stop,
     Welcome,
 )
-from shared.repetition import Repetition
 from shared.session import MESSAGES_AT_A_TIME, Event, Session, State, Tick
 from station.access.connecting import (
     CONNECT_WITHIN_S,
@@ -51,6 +50,7 @@ from station.robots.datagrams import PictureDatagrams
 from station.robots.link_clock import LinkClock
 from station.robots.link_commands import DueMessages, LinkCommands
 from station.robots.link_events import LinkListener
+from station.robots.link_log import LinkLog
 from station.robots.link_state import Arrivals, Hearing, LinkState, RateMeter
 from station.robots.network import NetworkState, OwnPauses, RecentDelays
 from station.robots.search import Find, FoundRobot, RobotSearch
@@ -61,7 +61,6 @@ RETRY_S = 0.25  # a robot that just started is found well within two seconds
 REFUSED_RETRY_S = 1.5  # somebody must do something first: pair, or set up; or a handshake was cut in the middle
 GREETED_WITHIN_NS = 1_500_000_000  # a hello that was lost on the way must not cost more than a new connection
 TICK_S = 0.025
-MAX_WARNINGS = 20  # different lines of one robot in the program's log in a minute
 AUTO = "auto"  # as host: look for a robot
 NO_ROBOT_FOUND = (
     "no robot makes itself known in this network; start robot-server with --host 0.0.0.0 there, or give its HOST:PORT"
@@ -117,10 +116,7 @@ class RobotLink:
         self._connections = 0
         self._status: Status | None = None
         self._notice: ErrorNotice | None = None
-        self._warnings = Repetition(MAX_WARNINGS)
-        self._refusals = Repetition(MAX_WARNINGS)
-        self._told_refusal = ""
-        self._losses = Repetition(MAX_WARNINGS)  # of its own: a robot that warns without end must not hide its end
+        self._log = LinkLog()
 
     @property
     def state(self) -> LinkState:
@@ -186,12 +182,9 @@ class RobotLink:
             self.commands.close()
             self._rates = RateMeter()  # nothing arrives now
         if was_connected:
-            self._told_refusal = ""
-            _warn(self._losses, f"robot lost: {self._reason}")
+            self._log.lost(self._reason)
             self._listener.on_disconnected(self._reason)
-        elif self._is_refused and self._reason != self._told_refusal:
-            self._told_refusal = self._reason
-            _warn(self._refusals, f"no robot is connected: {self._reason}")
+        elif self._is_refused and self._log.refused(self._reason):
             self.on_refused(self._reason)
 
     async def _find_and_connect(self, search: RobotSearch) -> str:
@@ -472,17 +465,11 @@ class RobotLink:
 
     def _receive_notice(self, notice: ErrorNotice) -> None:
         self._notice = notice
-        _warn(self._warnings, f"robot: {notice.message}")
+        self._log.notice(notice.message)
         self.commands.receive_notice(notice)
         if notice.fatal:
             self._session.close_reason = f"the robot closed the connection: {notice.message}"
         self._listener.on_notice(notice)
-
-
-def _warn(said: Repetition, line: str) -> None:
-    """A robot may say ever other things, thousands a second: no log would hold them."""
-    if (news := said.news(line)) is not None:
-        logger.warning("%s", news)
 
 
 @contextlib.contextmanager

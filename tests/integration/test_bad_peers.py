@@ -33,7 +33,8 @@ from shared.messages import (
     Welcome,
 )
 from shared.session import MESSAGES_AT_A_TIME, State
-from station.robots.link import MAX_WARNINGS, RobotLink
+from station.robots.link import RobotLink
+from station.robots.link_log import MAX_WARNINGS
 from tests.support.link import Bench, Notes, linked, running_robot, until
 
 Wire = tuple[asyncio.StreamReader, asyncio.StreamWriter]

@@ -68,14 +68,19 @@ async def test_a_transport_that_is_closed_already_ends_the_connection_and_not_th
 ) -> None:
     """A robot that was killed: uvloop's transport is closed before the reader is told, and takes no bytes then."""
 
-    def refuse(_: bytes) -> None:
-        raise RuntimeError("unable to perform operation on <TCPTransport closed=True>; the handler is closed")
+    write, refused = asyncio.StreamWriter.write, []
 
-    async with running_robot() as bench, linked(bench.port) as (link, notes):
-        connection = link._connection
-        assert connection is not None
-        monkeypatch.setattr(connection.writer, "write", refuse)
+    async with running_robot() as bench, linked(bench.port) as (_, notes):
+
+        def refuse_once(writer: asyncio.StreamWriter, data: bytes) -> None:
+            if not refused and writer.get_extra_info("peername")[1] == bench.port:
+                refused.append(data)
+                raise RuntimeError("unable to perform operation on <TCPTransport closed=True>; the handler is closed")
+            write(writer, data)
+
+        monkeypatch.setattr(asyncio.StreamWriter, "write", refuse_once)
         await until(lambda: len(notes.hellos) == 2)
+        assert refused
         assert notes.reasons == [f"connection lost: 127.0.0.1:{bench.port} closed the connection"]
 
 
