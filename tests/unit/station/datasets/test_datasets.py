@@ -248,6 +248,7 @@ def test_video_gives_its_frames(tmp_path: Path) -> None:
         ("cam0/sensor.yaml", "a: &a [1, 1]\nresolution: *a\n", "alias"),
         ("state_groundtruth_estimate0/data.csv", "1,nan,0,0,1,0,0,0\n", "not finite"),
         ("state_groundtruth_estimate0/data.csv", "1,0,0,0,0,0,0,0\n", "is no pose"),
+        ("state_groundtruth_estimate0/data.csv", "1,0,-1e308,0,1,0,0,0\n", "is no pose"),
         ("imu0/data.csv", f"{10**19},1,1,1,1,1,1\n", "no time in ns"),
     ],
 )
