@@ -45,8 +45,11 @@ from shared.token_book import TokenBook
 from station.access import connecting, paired_robots
 from station.access.connecting import ConnectionRefused, connect, connect_by_tls
 from station.access.paired_robots import PairedRobot, PairedRobots
+from station.access.visitors import access_folder
 from tests.support.access import JOIN, NOW, GuardedBench, guarded_robot, linked, make_token, set_up, talking
 from tests.support.link import running_robot, until
+from tests.support.station import running_station
+from tests.support.station_at_work import is_problem, wait_for
 
 ONE_OF_EACH: list[StationMessage] = [
     JOIN,
@@ -264,6 +267,19 @@ async def test_a_robot_that_was_never_paired_is_refused_with_the_remedy(tmp_path
         connection.writer.transport.abort()
         assert isinstance(said, str) and "`station pair 192.168.1.20" in said
         assert f" --code CODE --data {tmp_path}`" in said
+
+
+async def test_why_a_robot_is_refused_is_told_in_the_log_and_to_who_would_drive(tmp_path: Path) -> None:
+    async with guarded_robot(tmp_path / "robot") as bench:
+        robots = PairedRobots(access_folder(tmp_path / "station"))
+        bench.admit("desk", Role.DRIVE, robots)
+        robots.store(msgspec.structs.replace(robots.all()[0], fingerprint="5e" * 32))  # another machine's
+        async with running_station(bench.port, tmp_path / "station") as desk:
+            robot = await wait_for(desk, "/robot", lambda robot: "pair again" in (robot["reason"] or ""))
+            why = f"no robot is connected: {robot['reason']}"
+            answer = await desk.http.post("/drive", json={"linear": 0.1, "angular": 0.0, "ttl_ms": 200})
+            assert is_problem(answer, 503) and answer.json()["detail"] == why
+            await wait_for(desk, "/log", lambda log: why in [line["text"] for line in log])
 
 
 def test_beyond_loopback_robots_are_met_by_tls_only(tmp_path: Path) -> None:
