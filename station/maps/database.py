@@ -30,6 +30,7 @@ _SQLITE_IS_BROKEN = re.compile(
     r"malformed|not a database|no such (table|column)|unsupported file format|corrupt|text encoding|decode",
     re.IGNORECASE,
 )
+SQLITE_BEGINS = b"SQLite format 3\0"  # https://www.sqlite.org/fileformat.html
 # https://www.sqlite.org/rescode.html: PERM, READONLY, IOERR, FULL, CANTOPEN
 _SQLITE_CANNOT_WRITE = (3, 8, 10, 13, 14)
 
@@ -65,6 +66,7 @@ class Database:
         self.path = Path(self._url.database or "") if self.is_sqlite else None
         self.place = place or str(self.path or self._url.render_as_string(hide_password=True))
         self._engine = _engine(self._url)
+        self._is_named = bool(url)  # by the settings: the file may be another program's
 
     @property
     def exists(self) -> bool:
@@ -122,6 +124,27 @@ class Database:
             upgrade(connection)
         return was_empty
 
+    def refuse_foreign(self) -> None:
+        """Raises DataError: the file that the settings name is no database of maps, and stays as it is.
+
+        In the store's own folder a file of that name is ours, whatever became of it.
+        """
+        if self.path is None or not self._is_named or not self.exists:
+            return
+        remedy = "name another file in store.database, or move this one away where it was one: the records make it anew"
+        try:
+            with self._in_words(), self.path.open("rb") as file:
+                is_database = file.read(len(SQLITE_BEGINS)) == SQLITE_BEGINS
+            if is_database:
+                with self.reading() as connection:
+                    tables = inspect(connection).get_table_names()
+        except IndexDamaged as exc:
+            raise DataError(f"{exc}, and may be another program's; {remedy}") from exc
+        if not is_database:
+            raise DataError(f"{self.place} is no SQLite database; {remedy}")
+        if tables and VERSIONS.name not in tables:
+            raise DataError(f"{self.place} is another program's database (it has a table {tables[0]!r}); {remedy}")
+
     def _refuse_programs(self, connection: Connection) -> None:
         """A view in a table's place, or a trigger: a file from elsewhere could compute without end."""
         kinds = "SELECT group_concat(DISTINCT type) FROM sqlite_master WHERE type IN ('view', 'trigger')"
@@ -131,6 +154,8 @@ class Database:
     def _refuse(self, revision: str) -> None:
         """A revision this program does not know: of a newer one, whose tables differ, or a wrong bit."""
         with self.reading() as connection:
+            if not inspect(connection).has_table(VERSIONS.name):
+                raise IndexDamaged(f"{self.place} is damaged (it has no table {VERSIONS.name!r})")
             columns = {column["name"] for column in inspect(connection).get_columns(VERSIONS.name)}
         if columns == set(VERSIONS.c.keys()):
             raise IndexDamaged(f"{self.place} is damaged (it says it is at migration {revision!r})")

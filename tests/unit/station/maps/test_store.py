@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import sqlite3
@@ -291,6 +292,47 @@ def test_a_newer_database_is_refused(place_map: PlaceMap, tmp_path: Path) -> Non
     connection.close()
     with pytest.raises(DataError, match="newer station"):
         MapStore(tmp_path).list()
+
+
+@pytest.mark.parametrize(
+    ("tables", "cut", "said"),
+    [
+        ("", None, "no SQLite database"),
+        ("CREATE TABLE song (title TEXT)", None, "another program's database .*'song'"),
+        ("CREATE TABLE alembic_version (version_num TEXT); INSERT INTO alembic_version VALUES ('9')", None, "'alembic"),
+        ("CREATE TABLE song (title TEXT)", 500, "may be another program's"),
+    ],
+)
+def test_the_file_of_another_program_is_refused_and_stays_as_it_was(
+    place_map: PlaceMap, tmp_path: Path, tables: str, cut: int | None, said: str
+) -> None:
+    theirs = tmp_path / "theirs"
+    if tables:
+        with contextlib.closing(sqlite3.connect(theirs)) as connection:
+            connection.executescript(tables)
+        theirs.write_bytes(theirs.read_bytes()[:cut])
+    else:
+        theirs.write_text("root:x:0:0:root:/root:/bin/sh\n")
+    before = theirs.read_bytes()
+    store = MapStore(StoreAddress(tmp_path / "maps", f"sqlite:///{theirs}"))
+    for use in (store.list, lambda: store.save(place_map)):
+        with pytest.raises(DataError, match=said):
+            use()
+    assert [path.name for path in tmp_path.iterdir() if path.name != "maps"] == ["theirs"]
+    assert theirs.read_bytes() == before
+
+
+def test_a_database_that_the_settings_name_is_used_again(place_map: PlaceMap, tmp_path: Path) -> None:
+    address = StoreAddress(tmp_path / "maps", f"sqlite:///{tmp_path / 'ours.db'}")
+    MapStore(address).save(place_map)
+    assert [one.id for one in MapStore(address).list()] == [place_map.id]
+
+
+def test_an_index_that_says_migrations_and_has_no_table_is_made_anew(place_map: PlaceMap, tmp_path: Path) -> None:
+    MapStore(tmp_path).save(place_map)
+    with contextlib.closing(sqlite3.connect(tmp_path / "maps.db")) as connection:
+        connection.executescript("UPDATE alembic_version SET version_num = '9'; DROP TABLE map_version")
+    assert [one.id for one in MapStore(tmp_path).list()] == [place_map.id]
 
 
 @pytest.mark.parametrize("name", ["Shelf · 2", "Shelf · door side", "Place 99", "Sofa"])
