@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import socket
 import ssl
@@ -20,6 +21,7 @@ from station.config import show_address
 
 READ_BYTES = 256 * 1024
 CONNECT_WITHIN_S = 1.5
+LOOK_EVERY_S = 1.0  # whether a robot is still paired: as soon as a revoked station is thrown out
 
 
 class ConnectionRefused(RobotSystemError):
@@ -96,6 +98,17 @@ async def connect_and_hear(
         connection.writer.transport.abort()
         return None
     return replace(connection, heard=heard)
+
+
+async def until_forgotten(connection: Connection, robots: PairedRobots | None) -> str:
+    """Wait until the robot at the other end is paired no longer, and say so; for ever where it need not be."""
+    while True:
+        await asyncio.sleep(LOOK_EVERY_S)
+        if robots is None or not connection.fingerprint:
+            continue
+        with contextlib.suppress(ConfigError):  # the file is damaged: who was let in stays
+            if not await asyncio.to_thread(robots.knows, connection.fingerprint):
+                return "this robot is not paired with this station any more (`station robots --forget`)"
 
 
 async def connect_by_tls(host: str, port: int) -> Connection:

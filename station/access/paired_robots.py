@@ -98,6 +98,10 @@ class PairedRobots:
             said = explain(exc).replace(f"matching regex {FINGERPRINT!r}", "of 64 hexadecimal digits")
             raise ConfigError(f"{self.path} is damaged ({said}); correct it, or delete it and pair again") from exc
 
+    def knows(self, fingerprint: bytes) -> bool:
+        """Whether the robot with this certificate is paired. Raises ConfigError as `all` does."""
+        return any(robot.fingerprint == fingerprint.hex() for robot in self.all())
+
     def needs_tls(self, host: str, port: int, address: str) -> bool:
         """Whether a robot is met by TLS only: it was paired under this name, or others reach this address too."""
         if any(robot.is_at(host, port) for robot in self.all()):

@@ -43,6 +43,7 @@ from station.access.connecting import (
     connect,
     connect_and_hear,
     in_words,
+    until_forgotten,
 )
 from station.access.paired_robots import PairedRobots
 from station.config import show_address
@@ -236,6 +237,7 @@ class RobotLink:
                 self._write(writer),
                 self._tick(),
                 self._look_for_another_way(),
+                self._end_when_forgotten(connection),
             )
         ]
         try:
@@ -341,6 +343,10 @@ class RobotLink:
                 if way is not None:
                     way.writer.transport.abort()
                 await asyncio.sleep(RETRY_S)
+
+    async def _end_when_forgotten(self, connection: Connection) -> None:
+        self._session.close(Event.LOST, await until_forgotten(connection, self._robots))
+        raise _Ended
 
     def _is_unheard(self, now_ns: int) -> bool:
         return self._connected and self._hearing.is_lost(now_ns)

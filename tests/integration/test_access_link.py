@@ -354,6 +354,25 @@ async def test_a_revoked_station_is_thrown_out_its_motors_stop_and_it_stays_out(
             assert link.state.connections == 1
 
 
+async def test_a_robot_that_is_forgotten_is_left_at_once_and_its_motors_stop(tmp_path: Path) -> None:
+    robots = PairedRobots(tmp_path / "station")
+    async with guarded_robot(tmp_path / "robot") as bench:
+        bench.admit("desk", Role.DRIVE, robots)
+        async with linked(bench.port, robots) as (link, _):
+            await until(lambda: link.commands.drive(0.2, 0.0, 250) and not bench.motors.are_off)
+            whole = robots.path.read_bytes()
+            robots.path.write_bytes(b"damaged")  # says nothing of who is paired
+            await asyncio.sleep(2.5 * connecting.LOOK_EVERY_S)
+            assert link.commands.drive(0.2, 0.0, 250)
+            robots.path.write_bytes(whole)
+            robots.forget("Robot")
+            await until(lambda: link.commands.drive(0.2, 0.0, 250) is False)
+            assert "is not paired with this station any more" in link.state.reason
+            await until(lambda: bench.motors.are_off)
+            await until(lambda: not link.state.connected and "any more" not in link.state.reason)
+            assert link.state.connections == 1
+
+
 async def test_a_revocation_that_somebodys_proof_finds_out_first_counts_too(tmp_path: Path) -> None:
     """A thief who proves again and again must not keep the look at the book from seeing that it has changed."""
     robots = PairedRobots(tmp_path / "station")
