@@ -255,7 +255,10 @@ class RobotLink:
                 self._session.close(Event.LOST, f"connection lost: {in_words(end, address)}")
             elif isinstance(end, Exception) and not isinstance(end, _Ended):
                 raise end
-        return self._session.close_reason
+        # One that speaks TLS waits for ours, and we for its greeting.
+        unpaired = "; if it has access control, pair with it (docs/access.md)"
+        is_mute = self._arrived.is_silent and not connection.fingerprint
+        return f"{self._session.close_reason}{unpaired if is_mute else ''}"
 
     async def _open(self) -> Connection:
         """The way that was opened already, or a new one."""

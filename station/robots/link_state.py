@@ -57,6 +57,11 @@ class Arrivals:
         self._connection_bytes = 0
         self._connection_frame = -1
 
+    @property
+    def is_silent(self) -> bool:
+        """Whether this connection has carried nothing yet."""
+        return self._connection_bytes == 0
+
     def add_bytes(self, count: int, now_ns: int) -> None:
         self.bytes += count
         self._connection_bytes += count

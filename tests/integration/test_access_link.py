@@ -340,6 +340,11 @@ async def test_a_station_without_tls_gets_no_word_from_a_guarded_robot(tmp_path:
         assert b"robot_id" not in heard and not bench.heard
 
 
+async def test_a_station_that_was_never_paired_hears_of_access_control_on_loopback(tmp_path: Path) -> None:
+    async with guarded_robot(tmp_path / "robot") as bench, linked(bench.port, PairedRobots(tmp_path)) as (link, _):
+        await until(lambda: "if it has access control, pair with it" in link.state.reason)
+
+
 async def test_a_revoked_station_is_thrown_out_its_motors_stop_and_it_stays_out(tmp_path: Path) -> None:
     robots = PairedRobots(tmp_path / "station")
     async with guarded_robot(tmp_path / "robot") as bench:
