@@ -14,8 +14,9 @@ from shared.bounded import MAX_FILE_BYTES, MAX_JSON_BYTES, MB, Refused, in_piece
 from shared.disk import PRIVATE, make_folder, replacing
 from shared.errors import DataError
 from shared.text import printable
-from station.maps import versions
+from station.maps import backup_list, versions
 from station.maps.address import ADDRESS, address_of, heal, is_whole
+from station.maps.backup_list import Listed, with_right_headers
 from station.maps.blobs import Damaged, blob_name
 from station.maps.contents import Contents, row_of
 from station.maps.record import MapRecord, decode_record
@@ -53,13 +54,18 @@ def write_backup(store: MapStore, path: Path) -> BackupReport:
     records = list(_readable(store, damaged))
     try:
         make_folder(path.parent)
-        with replacing(path, mode=PRIVATE) as file, tarfile.open(fileobj=file, mode="w|") as archive:
-            _add(archive, README_NAME, README)
-            written: set[str] = set()
+        with (
+            replacing(path, mode=PRIVATE) as file,
+            tarfile.open(fileobj=file, mode="w|", format=tarfile.PAX_FORMAT) as archive,
+        ):
+            writer = _Writer(archive)
+            writer.add(README_NAME, README)
             for record, data in records:  # first: a file that is cut later still says what there was
-                _add(archive, row_of(record, data).file.name, data)
+                writer.add(row_of(record, data).file.name, data)
+            written: set[str] = set()
             for record, _ in records:
-                _add_blobs(store.contents, archive, record, written, damaged)
+                _add_blobs(store.contents, writer, record, written, damaged)
+            writer.add(*backup_list.encode(writer.files))
     except OSError as exc:
         raise DataError(f"{path} cannot be written ({exc.strerror}); free space or choose another place") from exc
     return BackupReport(len({r.map_id for r, _ in records}), len(records), path.stat().st_size, tuple(damaged))
@@ -79,12 +85,30 @@ def restore_backup(store: MapStore, path: Path) -> BackupReport:
         return _restore(store, contents, path)
 
 
+class _Writer:
+    """Adds files to an archive and knows what it has added."""
+
+    def __init__(self, archive: tarfile.TarFile) -> None:
+        self.files: list[Listed] = []
+        self._archive = archive
+
+    def add(self, name: str, data: bytes) -> None:
+        listed = Listed(self.files[-1].end if self.files else 0, len(data), name)
+        self._archive.addfile(listed.info, io.BytesIO(data))
+        self.files.append(listed)
+
+
 def _restore(store: MapStore, contents: Contents, path: Path) -> BackupReport:
     found = _Found(store, path)
     try:
-        with open_file(path) as file, _opened(in_pieces(file, MAX_PIECE_BYTES)) as archive:
-            for member in _members(archive, path.stat().st_size, found.lost):
-                found.add(archive, member)
+        with open_file(path) as file:
+            found.listed = backup_list.read(file)
+            whole, names = with_right_headers(file, found.listed)
+            for name in names:
+                found.put_right(name)
+            with _opened(in_pieces(whole, MAX_PIECE_BYTES)) as archive:
+                for member in _members(archive, path.stat().st_size, found.lost):
+                    found.add(archive, member)
     except (Refused, *_NO_ARCHIVE) as exc:
         if not found.records:
             why = found.damaged[0].removeprefix(f"{path}: ") if found.damaged else exc
@@ -92,6 +116,7 @@ def _restore(store: MapStore, contents: Contents, path: Path) -> BackupReport:
         found.damaged.append(f"{path} ends early ({exc}); what came before was restored")
     except OSError as exc:
         raise DataError(f"{path} cannot be read ({exc.strerror}); give a file written by `station map backup`") from exc
+    found.compare()
     if not found.records and (found.damaged or found.strangers or not found.entries):
         nothing = "there is no map in it" if found.entries else "it holds nothing"
         why = found.damaged[0].removeprefix(f"{path}: ") if found.damaged else nothing
@@ -159,6 +184,8 @@ class _Found:
         self.damaged: list[str] = []
         self.entries = 0  # of any kind
         self.strangers, self.first_stranger = 0, ""  # entries that no backup has
+        self.listed: list[Listed] = []  # what was written into it, where it says so
+        self._names: set[str] = set()
         self._store = store
         self._path = path
 
@@ -170,6 +197,9 @@ class _Found:
     def add(self, archive: tarfile.TarFile, member: tarfile.TarInfo) -> None:
         """A record or a blob; what is something else is counted. Raises what an unreadable archive does."""
         self.entries += 1
+        self._names.add(member.name)
+        if member.name.startswith(f"{backup_list.FOLDER}/"):
+            return
         file = parse_record_name(member.name)
         address = file.address if file else member.name.rpartition("/")[2]
         if not member.isfile() or not ADDRESS.fullmatch(address):
@@ -194,8 +224,20 @@ class _Found:
         healed = heal(data, address)
         if healed is None:
             raise _LeftOut("is damaged (its checksum differs)")
-        self._store.notify(f"{self._path}: {name} had one wrong bit; it is put right. Check the disk")
+        self.put_right(name)
         return healed
+
+    def put_right(self, name: str) -> None:
+        self._store.notify(f"{self._path}: {name} had one wrong bit; it is put right. Check the disk")
+
+    def compare(self) -> None:
+        """With what was written into it."""
+        missing = [file.name for file in self.listed if file.name not in self._names]
+        if missing:
+            self.damaged.append(
+                f"{self._path}: {len(missing)} of the {len(self.listed)} files that were written into it are missing,"
+                f" the first is {printable(missing[0])[:MAX_SHOWN]}"
+            )
 
     def _add_record(self, file: RecordFile, data: bytes) -> None:
         try:
@@ -260,9 +302,7 @@ def _readable(store: MapStore, damaged: list[str]) -> Iterator[tuple[MapRecord, 
             damaged.append(str(exc))
 
 
-def _add_blobs(
-    contents: Contents, archive: tarfile.TarFile, record: MapRecord, written: set[str], damaged: list[str]
-) -> None:
+def _add_blobs(contents: Contents, writer: _Writer, record: MapRecord, written: set[str], damaged: list[str]) -> None:
     """The version's files, once each; those that are lost are told."""
     for name, ref in record.files.items():
         if ref.address in written:
@@ -273,10 +313,4 @@ def _add_blobs(
         except Damaged as exc:
             damaged.append(str(exc))
             continue
-        _add(archive, blob_name(ref.address), data)
-
-
-def _add(archive: tarfile.TarFile, name: str, data: bytes) -> None:
-    member = tarfile.TarInfo(name)
-    member.size = len(data)
-    archive.addfile(member, io.BytesIO(data))
+        writer.add(blob_name(ref.address), data)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import random
 import shutil
+import tarfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -249,6 +251,42 @@ def test_a_wrong_bit_in_a_backup_is_put_right_too(root: Path, place_map: PlaceMa
     assert "had one wrong bit" in run("restore", str(backup), "--data", str(tmp_path / "other"))
     restored = opened(tmp_path / "other" / "maps")
     assert verify(restored) == () and restored.load(place_map.id).places[0].name == "Couch"
+
+
+def test_a_wrong_bit_in_a_header_of_a_backup_is_put_right(root: Path, place_map: PlaceMap, tmp_path: Path) -> None:
+    backup = tmp_path / "b.tar"
+    run("backup", str(backup), "--data", str(root.parent))
+    content = backup.read_bytes()
+    with tarfile.open(backup) as archive:
+        members = archive.getmembers()
+    assert any(member.offset_data - member.offset > 512 for member in members)  # a long name: three blocks
+    rng = random.Random(3)
+    for number in range(30):
+        member = rng.choice(members[:-1])  # the last one is the list of them
+        at = rng.randrange(member.offset, member.offset_data)
+        damaged = bytearray(content)
+        damaged[at] ^= 1 << rng.randrange(8)
+        backup.write_bytes(damaged)
+        other = tmp_path / f"{number}"
+        told = run("restore", str(backup), "--data", str(other))
+        assert "had one wrong bit; it is put right" in told, at - member.offset
+        restored = opened(other / "maps")
+        assert verify(restored) == () and len(restored.history(place_map.id)) == 3
+
+
+@pytest.mark.parametrize("kind", ["records", "blobs"])
+def test_what_somebody_took_out_of_a_backup_is_told(root: Path, tmp_path: Path, kind: str) -> None:
+    whole, without = tmp_path / "b.tar", tmp_path / "c.tar"
+    run("backup", str(whole), "--data", str(root.parent))
+    with tarfile.open(whole) as archive, tarfile.open(without, "w") as out:
+        members = archive.getmembers()
+        taken = [member for member in members if member.name.startswith(f"{kind}/")][-1]
+        for member in members:
+            if member != taken:
+                out.addfile(member, archive.extractfile(member))
+    told = run("restore", str(without), "--data", str(tmp_path / "other"), code=1)
+    assert f"1 of the {len(members) - 1} files that were written into it are missing" in told
+    assert taken.name[:40] in told
 
 
 def test_what_a_cut_backup_lacks_may_come_from_elsewhere(root: Path, place_map: PlaceMap, tmp_path: Path) -> None:
