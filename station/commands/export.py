@@ -81,6 +81,8 @@ def export(
         picture = drawn(require_plan(with_plan), without_hidden(with_plan))
         _whole_or_not(out, lambda path: path.write_bytes(picture))
         return
+    if file_format in ("tum", "euroc") and not len(nav.trajectory):
+        raise DataError(f"{source} has no trajectory to write: not one pose")
     writers: dict[str, Callable[[Navigation, Path], object]] = {
         "tum": lambda nav, path: path.write_text(format_tum(nav.trajectory)),
         "ply": export_ply,

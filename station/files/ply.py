@@ -29,6 +29,8 @@ PLY_TYPES = {name: kind for kind, names in TYPE_NAMES.items() for name in names}
 FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 MAX_HEADER_BYTES = 65_536
 MAX_POINTS = 200_000_000
+MAX_DIGITS = 18  # of a count: Python refuses to read thousands
+MAX_SHOWN = 80  # characters of a line that somebody else wrote
 ROWS_AT_ONCE = 4096
 
 Columns = dict[str, npt.NDArray[Any]]
@@ -106,7 +108,7 @@ def _parse_header(path: Path, content: bytes) -> tuple[str, list[tuple[str, int,
         match words:
             case ["format", kind, *_]:
                 file_format = kind
-            case ["element", name, count] if count.isdigit():
+            case ["element", name, count] if count.isdecimal() and len(count) <= MAX_DIGITS:
                 elements.append((name, int(count), []))
             case ["property", "list", _, _, name] if elements:
                 elements[-1][2].append((name, "list"))
@@ -115,7 +117,7 @@ def _parse_header(path: Path, content: bytes) -> tuple[str, list[tuple[str, int,
             case [] | ["comment", *_] | ["obj_info", *_]:
                 pass
             case _:
-                raise DataError(f"{path} has an unreadable header line {line!r}; export the cloud again")
+                raise DataError(f"{path} has an unreadable header line {line[:MAX_SHOWN]!r}; export the cloud again")
     if file_format not in FORMATS:
         raise DataError(f"{path} has the unknown PLY format {file_format!r}; export it as ascii or binary")
     if any(count > MAX_POINTS for _, count, _ in elements):

@@ -37,6 +37,14 @@ def export(folder: Path, file_format: str, out: Path) -> Path:
     return out
 
 
+@pytest.mark.parametrize("file_format", ["tum", "euroc"])
+def test_a_trajectory_without_poses_is_not_exported(folder: Path, tmp_path: Path, file_format: str) -> None:
+    (folder / "trajectory.tum").write_text("")
+    with pytest.raises(DataError, match="not one pose"):
+        export(folder, file_format, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_tum_and_ply_come_back(folder: Path, tmp_path: Path) -> None:
     written = export(folder, "tum", tmp_path / "a.tum")
     back = parse_tum(written.read_text(), written)

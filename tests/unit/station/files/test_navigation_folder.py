@@ -286,6 +286,10 @@ def test_big_endian_ply_is_read(tmp_path: Path) -> None:
         (b"ply\nformat odd 1.0\nelement vertex 1\nend_header\n1\n", "odd"),
         (b"ply\nformat ascii 1.0\nwhat is this\nend_header\n", "header line"),
         (b"ply\nformat ascii 1.0\nend_header\n", "no vertices"),
+        (
+            b"ply\nformat ascii 1.0\nelement vertex " + b"9" * 5000 + b"\nend_header\n",
+            "header line 'element vertex 9{60}",
+        ),
         (b"ply\nformat ascii 1.0\nelement vertex 99999999999\nproperty float x\nend_header\n", "claims more"),
     ],
 )
