@@ -26,7 +26,7 @@ of earlier code, is in [studies](studies/README.md); [decision 9](decisions/0009
 """
 TABLE = "| what | figure | bound | command | commit | date | load |\n| --- | --- | --- | --- | --- | --- | --- |"
 NO_BOUND = "–"
-ALL_MET = "all met"
+ALL_MET, NONE_MET = "all met", "**none met**"
 
 
 def page(results: dict[str, ResultFile]) -> str:
@@ -53,9 +53,9 @@ def machines(results: dict[str, ResultFile]) -> list[str]:
 def table_rows(result: ResultFile) -> list[str]:
     """A row for each figure; those of one thing (`thing: what`) that are within their bounds share one.
 
-    So do those that are held against none, and at the end what is alone of its thing: all that is within its bounds,
-    and all that is held against none; of two figures the one that is held against none stands with the other. What is
-    not met stands with nothing that is.
+    So do those that are not, and those that are held against none; and at the end what is alone of its thing: all that
+    is within its bounds, and all that is held against none; of two figures the one that is held against none stands
+    with the other. What is not met stands with nothing that is.
     """
     before, after = result.load
     benchmark = result.command.split()[2].removeprefix("benchmarks.")
@@ -63,11 +63,10 @@ def table_rows(result: ResultFile) -> list[str]:
     rows: dict[tuple[str, str], list[Figure]] = {}
     for figure in result.figures:
         thing, colon, _ = figure.what.partition(": ")
-        rows.setdefault((thing if colon else figure.what, ALL_MET if figure.is_met else bound(figure)), []).append(
-            figure
-        )
+        judged = NO_BOUND if figure.is_met is None else ALL_MET if figure.is_met else NONE_MET
+        rows.setdefault((thing if colon else figure.what, judged), []).append(figure)
     besides, kept = (
-        [figures[0] for (_, held), figures in rows.items() if held == of and len(figures) == 1]
+        [figures[0] for (_, judged), figures in rows.items() if judged == of and len(figures) == 1]
         for of in (NO_BOUND, ALL_MET)
     )
     if len(besides) == 1 and len(result.figures) == 2:
@@ -79,11 +78,11 @@ def table_rows(result: ResultFile) -> list[str]:
         if len(alone) > 1:  # of several things one figure each: one row for all of them
             rows = {key: figures for key, figures in rows.items() if figures[0] not in alone}
             rows[benchmark, bounds] = alone
-    return [_row(thing, figures, end) for (thing, _), figures in rows.items()]
+    return [_row(thing, judged, figures, end) for (thing, judged), figures in rows.items()]
 
 
-def _row(thing: str, figures: list[Figure], end: str) -> str:
-    """One figure, or several of one thing with one bound."""
+def _row(thing: str, judged: str, figures: list[Figure], end: str) -> str:
+    """One figure, or several of one thing that were `judged` alike, each with its bound where they differ."""
     if len(figures) == 1:
         return f"| {figures[0].what} | {value_with_unit(figures[0])} | {bound(figures[0])} | {end}"
     bounds = {bound(figure) for figure in figures}
@@ -92,7 +91,7 @@ def _row(thing: str, figures: list[Figure], end: str) -> str:
         f"{figure.what.removeprefix(f'{thing}: ')} {value_with_unit(figure)}{'' if is_one else f' [{asked(figure)}]'}"
         for figure in figures
     )
-    return f"| {thing} | {told} | {bounds.pop() if is_one else ALL_MET} | {end}"
+    return f"| {thing} | {told} | {bounds.pop() if is_one else judged} | {end}"
 
 
 def value_with_unit(figure: Figure) -> str:

@@ -120,7 +120,7 @@ SUITE = (
     ),
     Benchmark(
         "current_place_left_out", CURRENT, "bench_current_place",
-        "--worlds home:600-604 plain:600-604 real --wrong-focal 2 --leave-kind-out", None, data=f"{DATA}/redkitchen",
+        "--worlds home:600-609 plain:600-609 real --wrong-focal 2 --leave-kind-out", None, data=f"{DATA}/redkitchen",
     ),
     Benchmark(
         "current_place_twins", CURRENT, "bench_current_place",
