@@ -8,6 +8,7 @@ region it can cover; the nearest one wins per pixel. One lookup in the atlas the
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import TypeVar
 
@@ -40,12 +41,14 @@ class Rendering:
     surface: npt.NDArray[np.uint16]  # (H, W) index into Renderer.surfaces, NO_SURFACE where nothing is seen
 
 
+@lru_cache(maxsize=2)  # an eighth of a second, nearly all that a second renderer of the same camera would cost
 def unproject_pixels(camera: CameraCalibration) -> Float32Array:
     """Rays (H, 3, W) of all pixels in camera coordinates with z = 1, lens distortion undone exactly."""
     u, v = np.meshgrid(np.arange(camera.width, dtype=np.float64), np.arange(camera.height, dtype=np.float64))
     xy = undistort(camera, np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy], axis=-1))
     rays = np.empty((camera.height, 3, camera.width), np.float32)
     rays[:, 0], rays[:, 1], rays[:, 2] = xy[..., 0], xy[..., 1], 1.0
+    rays.setflags(write=False)  # all who ask share it
     return rays
 
 

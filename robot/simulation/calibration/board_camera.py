@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -92,12 +93,14 @@ class BoardCamera:
         return encoded.tobytes()
 
 
+@lru_cache(maxsize=len(OFFSETS_PX) + 1)  # all of one camera: half a second of each recording of a board
 def rays_at(camera: CameraCalibration, offset_px: tuple[float, float]) -> Float32Array:
     """Rays (H, 3, W) through the pixels' centres shifted by the offset, z = 1, lens distortion undone."""
     u, v = np.meshgrid(np.arange(camera.width) + offset_px[0], np.arange(camera.height) + offset_px[1])
     xy = undistort(camera, np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy], axis=-1))
     rays = np.ones((camera.height, 3, camera.width), np.float32)
     rays[:, 0], rays[:, 1] = xy[..., 0], xy[..., 1]
+    rays.setflags(write=False)  # all who ask share it
     return rays
 
 
