@@ -22,6 +22,7 @@ from robot.simulation.construction import built_camera
 from shared.calibration import REFERENCE_CAMERA, REFERENCE_IMU
 from shared.geometry import so3_log
 from shared.simulator_link import SimulatorLink
+from station.calibration.camera_imu.recording import IMAGES_PER_S
 from tests.e2e.conftest import LAPTOP, PHONE
 from tests.support.new_robot import (
     carry_about_until_all_is_recorded,
@@ -46,9 +47,9 @@ MOUNTED_OTHERWISE = {"pitch_deg": 3.0, "yaw_deg": -2.0, "forward_cm": 1.5, "up_c
 KNOCKED = {"pitch_deg": 3.0, "yaw_deg": -2.0, "time_shift_ms": 12.0}
 WAVED_S = 25.0
 CARRIED_S = 45.0  # at most: until enough is recorded
-# Pictures a second, where fewer do: of a board that is held and of wheels those at rest matter, of an IMU none. Drawing
-# and showing them takes most of the time.
-STANDING_HZ, UNSEEN_HZ = 10.0, 2.0
+# Pictures a second, where fewer do: of a board that is held and of wheels those at rest matter, of a robot that is
+# waved the estimate takes so many, of an IMU none. Drawing and showing them takes most of the time.
+STANDING_HZ, WAVED_HZ, UNSEEN_HZ = 10.0, IMAGES_PER_S, 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +103,7 @@ async def test_a_robot_whose_camera_sits_otherwise_is_waved_on_a_phones_page_and
     browser: Browser, tmp_path: Path
 ) -> None:
     built = built_camera(REFERENCE_CAMERA, BuildErrors(**MOUNTED_OTHERWISE))
-    async with new_robot_at_the_page(browser, tmp_path, MOUNTED_OTHERWISE, PHONE) as room:
+    async with new_robot_at_the_page(browser, tmp_path, MOUNTED_OTHERWISE, PHONE, WAVED_HZ) as room:
         simulator, desk, dialog = room.simulator, room.desk, room.dialog
         await dialog.get_by_label("What").select_option("camera-imu")
         await choose_own_board(dialog)
