@@ -7,6 +7,8 @@ debian_packages() {
   scripts/apt-need.sh "browser tests" chromium fonts-dejavu-core
   scripts/apt-need.sh "database tests" postgresql
   [ ! -x firmware/install-deps.sh ] || firmware/install-deps.sh
+  # pip leaves a core idle meanwhile. What cannot be built here the tests say, or are skipped.
+  nice make --silent -C firmware emulator build/pc/test_core build/pc/fuzz_core >/dev/null 2>&1 || true
 }
 # Debian's packages are unpacked while Python's are fetched, and lint computes as soon as those are there. The environment
 # comes first and Open3D last: either may ask for a Debian package of its own, and one apt-get does not wait for another.
