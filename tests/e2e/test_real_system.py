@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from station.demo.demo import (
     hijack,
     map_hijack_and_ask,
     start_programs,
+    write_settings,
 )
 from station.demo.folder import fresh_folder
 from station.demo.judge import MIN_RIGHT_OF_KNOWN, align_map, carried, is_right
@@ -32,6 +34,7 @@ from station.demo.processes import Programs
 from tests.e2e.conftest import LAPTOP
 
 pytestmark = pytest.mark.slow
+CAMERA_HZ = 12.0  # of the robot's 20: SLAM follows it as well, and each picture is drawn, sent, recorded and followed
 NUM_SEEN, LOOK_EVERY_S = 40, 0.5
 MOVED_M = 0.15
 TURNED_RAD = 0.5
@@ -65,6 +68,14 @@ class RealSystem:
         return [one.name in by_name and is_right(by_name[one.name], centroids_true, one.position_true) for one in seen]
 
 
+def fewer_pictures(out: Path) -> Path:
+    """robot-server's settings: the demo's but for CAMERA_HZ."""
+    settings = write_settings(out)
+    with (out / "simulation.toml").open("a", encoding="utf-8") as simulation:
+        simulation.write(f"camera_rate_hz = {CAMERA_HZ}\n")
+    return settings
+
+
 @pytest.fixture(scope="module")
 def system(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RealSystem]:
     out = tmp_path_factory.mktemp("demo")
@@ -72,7 +83,7 @@ def system(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RealSystem]:
     options = DemoOptions(seed=1, once=True, port=0, world="small", backend=None, out=out)
     with Programs(out / "logs") as programs:
         data = fresh_folder(out)
-        demo = start_programs(options, programs, data, said.append)
+        demo = start_programs(options, programs, data, said.append, fewer_pictures(out))
         try:
             yield RealSystem(demo, map_hijack_and_ask(demo, data, Timings()), said)
         finally:
