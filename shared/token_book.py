@@ -208,7 +208,10 @@ class TokenBook:
         self._used[record.id] = now_s
 
     def flush(self, now_s: float) -> None:
-        """Write when tokens were last used, if that is older than USE_RESOLUTION_S in the file."""
+        """Write when tokens were last used, if that is older than USE_RESOLUTION_S in the file, or lies ahead.
+
+        The clock may have been ahead and been put right.
+        """
         used_now = list(self._used.items())  # in one step: another thread may note a use meanwhile
         for token_id, _ in used_now:
             if token_id not in self._records:
@@ -216,7 +219,8 @@ class TokenBook:
         due = {
             token_id: t
             for token_id, t in used_now
-            if (record := self._records.get(token_id)) is not None and t - (record.last_used_s or 0) >= USE_RESOLUTION_S
+            if (record := self._records.get(token_id)) is not None
+            and abs(t - (record.last_used_s or 0)) >= USE_RESOLUTION_S
         }
         if not due:
             return

@@ -163,6 +163,16 @@ def test_the_last_use_is_kept_to_the_minute(tmp_path: Path) -> None:
     assert TokenBook(tmp_path).tokens()[0].last_used_s == 100.0
 
 
+def test_a_last_use_of_a_clock_that_was_ahead_is_corrected(tmp_path: Path) -> None:
+    book = TokenBook.create(tmp_path)
+    record = book.find(book.add("anna", Role.DRIVE, 0.0).text, 0.0)
+    assert record is not None
+    for t_s in (9e9, 100.0):
+        book.use(record, t_s)
+        book.flush(t_s)
+    assert TokenBook(tmp_path).tokens()[0].last_used_s == 100.0
+
+
 def test_a_damaged_book_lets_nobody_in(tmp_path: Path) -> None:
     book = TokenBook.create(tmp_path)
     token = book.add("anna", Role.DRIVE, 0.0)
