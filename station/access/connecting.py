@@ -21,7 +21,8 @@ from station.config import show_address
 
 READ_BYTES = 256 * 1024
 CONNECT_WITHIN_S = 1.5
-LOOK_EVERY_S = 1.0  # whether a robot is still paired: as soon as a revoked station is thrown out
+LOOK_EVERY_S = 0.5  # whether a robot is still paired
+LOOKS = 2  # that do not find it, before it is left: a file may be away for a moment, while somebody puts back an older one
 
 
 class ConnectionRefused(RobotSystemError):
@@ -102,13 +103,14 @@ async def connect_and_hear(
 
 async def until_forgotten(connection: Connection, robots: PairedRobots | None) -> str:
     """Wait until the robot at the other end is paired no longer, and say so; for ever where it need not be."""
-    while True:
+    missed = 0
+    while missed < LOOKS:
         await asyncio.sleep(LOOK_EVERY_S)
         if robots is None or not connection.fingerprint:
             continue
         with contextlib.suppress(ConfigError):  # the file is damaged: who was let in stays
-            if not await asyncio.to_thread(robots.knows, connection.fingerprint):
-                return "this robot is not paired with this station any more (`station robots --forget`)"
+            missed = 0 if await asyncio.to_thread(robots.knows, connection.fingerprint) else missed + 1
+    return "its certificate is not paired with this station any more"
 
 
 async def connect_by_tls(host: str, port: int) -> Connection:

@@ -94,7 +94,7 @@ class PairedRobots:
             return ()
         try:
             return msgspec.json.decode(content, type=_File).robots
-        except msgspec.DecodeError as exc:
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as exc:
             said = explain(exc).replace(f"matching regex {FINGERPRINT!r}", "of 64 hexadecimal digits")
             raise ConfigError(f"{self.path} is damaged ({said}); correct it, or delete it and pair again") from exc
 

@@ -93,9 +93,10 @@ class _Writer:
         self._archive = archive
 
     def add(self, name: str, data: bytes) -> None:
-        listed = Listed(self.files[-1].end if self.files else 0, len(data), name)
-        self._archive.addfile(listed.info, io.BytesIO(data))
-        self.files.append(listed)
+        member = tarfile.TarInfo(name)
+        member.size = len(data)
+        self._archive.addfile(member, io.BytesIO(data))
+        self.files.append(Listed.behind(self.files[-1] if self.files else None, name, len(data)))
 
 
 def _restore(store: MapStore, contents: Contents, path: Path) -> BackupReport:
@@ -122,7 +123,7 @@ def _restore(store: MapStore, contents: Contents, path: Path) -> BackupReport:
         why = found.damaged[0].removeprefix(f"{path}: ") if found.damaged else nothing
         raise DataError(f"{path} is no backup that can be read ({why}); give a file written by `station map backup`")
     if found.strangers:
-        first = printable(found.first_stranger)[:MAX_SHOWN]
+        first = _shown(found.first_stranger)
         found.damaged.append(f"{path} holds what no backup does: {first}, {found.strangers} in all; it is left out")
     count = 0
     for map_id, by_number in found.records.items():
@@ -191,17 +192,17 @@ class _Found:
 
     def lost(self, count: int, where: str) -> None:
         """Bytes that no header leads to."""
-        shown = printable(where)[:MAX_SHOWN]
-        self.damaged.append(f"{self._path}: {count} bytes {shown} cannot be read; what they held is left out")
+        self.damaged.append(f"{self._path}: {count} bytes {_shown(where)} cannot be read; what they held is left out")
 
     def add(self, archive: tarfile.TarFile, member: tarfile.TarInfo) -> None:
         """A record or a blob; what is something else is counted. Raises what an unreadable archive does."""
         self.entries += 1
         self._names.add(member.name)
-        if member.name.startswith(f"{backup_list.FOLDER}/"):
-            return
         file = parse_record_name(member.name)
         address = file.address if file else member.name.rpartition("/")[2]
+        if member.isfile() and backup_list.is_list(member.name):
+            self._look_at_list(archive, member, address)
+            return
         if not member.isfile() or not ADDRESS.fullmatch(address):
             if member.name != README_NAME:
                 self.strangers += 1
@@ -213,7 +214,7 @@ class _Found:
                 self._add_record(file, data)
                 return
         except (Refused, _LeftOut) as exc:
-            self.damaged.append(f"{self._path}: {member.name} {exc}; it is left out")
+            self.damaged.append(f"{self._path}: {_shown(member.name)} {exc}; it is left out")
             return
         self._store.contents.blobs.put([data])
         self.addresses.add(address)
@@ -227,8 +228,15 @@ class _Found:
         self.put_right(name)
         return healed
 
+    def _look_at_list(self, archive: tarfile.TarFile, member: tarfile.TarInfo, address: str) -> None:
+        """It was read before; here it is told how it is."""
+        try:
+            self._whole(_read(archive, member, MAX_FILE_BYTES), member.name, address)
+        except (Refused, _LeftOut) as exc:
+            self.damaged.append(f"{self._path}: its list {exc}; whether something was taken out cannot be told")
+
     def put_right(self, name: str) -> None:
-        self._store.notify(f"{self._path}: {name} had one wrong bit; it is put right. Check the disk")
+        self._store.notify(f"{self._path}: {_shown(name)} had one wrong bit; it is put right. Check the disk")
 
     def compare(self) -> None:
         """With what was written into it."""
@@ -236,7 +244,7 @@ class _Found:
         if missing:
             self.damaged.append(
                 f"{self._path}: {len(missing)} of the {len(self.listed)} files that were written into it are missing,"
-                f" the first is {printable(missing[0])[:MAX_SHOWN]}"
+                f" the first is {_shown(missing[0])}"
             )
 
     def _add_record(self, file: RecordFile, data: bytes) -> None:
@@ -247,6 +255,11 @@ class _Found:
         if (record.map_id, record.number) != (file.map_id, file.number):
             raise _LeftOut(f"is a record of map {record.map_id}, version {record.number}")
         self.records.setdefault(file.map_id, {}).setdefault(file.number, (record, data))
+
+
+def _shown(name: str) -> str:
+    """A name that somebody else gave."""
+    return printable(name)[:MAX_SHOWN]
 
 
 class _LeftOut(Exception):

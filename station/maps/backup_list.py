@@ -1,13 +1,14 @@
 """What a backup holds, listed in its last file: a wrong bit in tar's headers is put right by it, and a lack is told.
 
-Every header of ours follows from a name, a size and the place where it stands, so that the list says what it must be.
+Every header of ours follows from a name, a size and what stands before it, so that the list says what it must be.
 """
 
 from __future__ import annotations
 
 import io
 import tarfile
-from collections.abc import Iterable
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import BinaryIO, cast
 
@@ -15,9 +16,9 @@ from shared.bounded import MAX_FILE_BYTES
 from station.maps.address import ADDRESS, address_of, heal, is_whole
 
 FOLDER = "contents"
-BEGIN = f"{FOLDER}/".encode()
-PIECE = 2048 * tarfile.BLOCKSIZE
-MAX_FILE_OFFSET = 2**63 - 1
+PIECE = 2048 * tarfile.BLOCKSIZE  # of a file that is looked through from its end
+NUM_BITS = 8 * tarfile.BLOCKSIZE
+_MAGIC = slice(257, 262)
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,99 +26,143 @@ class Listed:
     """One file of a backup."""
 
     offset: int  # of its header
+    header: bytes
     size: int
     name: str
 
-    @property
-    def info(self) -> tarfile.TarInfo:
-        info = tarfile.TarInfo(self.name)
-        info.size = self.size
-        return info
-
-    @property
-    def header(self) -> bytes:
-        return self.info.tobuf(tarfile.PAX_FORMAT)
+    @classmethod
+    def behind(cls, before: Listed | None, name: str, size: int) -> Listed:
+        info = tarfile.TarInfo(name)
+        info.size = size
+        return cls(0 if before is None else before.end, info.tobuf(tarfile.PAX_FORMAT), size, name)
 
     @property
     def end(self) -> int:
-        return self.offset + len(self.header) + -(-self.size // tarfile.BLOCKSIZE) * tarfile.BLOCKSIZE
+        return self.offset + len(self.header) + padded(self.size)
 
 
-def encode(files: Iterable[Listed]) -> tuple[str, bytes]:
+def padded(size: int) -> int:
+    """Bytes that a file of this size takes in an archive."""
+    return -(-size // tarfile.BLOCKSIZE) * tarfile.BLOCKSIZE
+
+
+def is_list(name: str) -> bool:
+    """Whether a file of an archive is the list."""
+    folder, _, address = name.partition("/")
+    return folder == FOLDER and ADDRESS.fullmatch(address) is not None
+
+
+def encode(files: Sequence[Listed]) -> tuple[str, bytes]:
     """The list as a file: its name and what is in it."""
-    data = "".join(f"{file.offset} {file.size} {file.name}\n" for file in files).encode()
+    data = "".join(f"{file.size} {file.name}\n" for file in files).encode()
     return f"{FOLDER}/{address_of(data)}", data
 
 
 def read(file: BinaryIO) -> list[Listed]:
-    """What was written into a backup; nothing where it does not say so (before November 2026 none did).
+    """What was written into a backup, the list itself last; nothing where it has none (before November 2026 none had).
 
     Sought from the end, since what comes before may be damaged. Raises OSError.
     """
-    block, at = tarfile.BLOCKSIZE, file.seek(0, io.SEEK_END)
-    piece = b""
-    while at > 0:
-        begin = max(0, (at - 1) // PIECE * PIECE)
-        file.seek(begin)
-        piece = file.read(at - begin)
-        for number in range((len(piece) - 1) // block, -1, -1):
-            if piece.startswith(BEGIN, block * number) and (found := _read_at(file, begin + block * number)):
-                return found
-        at = begin
+    size = file.seek(0, io.SEEK_END)
+    for offset, block in _blocks_from_the_end(file, size):
+        for member in _headers_like(block):
+            # Behind the list there is nothing: what only looks like it, inside of a file, is passed over unread.
+            begin = offset + tarfile.BLOCKSIZE
+            if is_list(member.name) and 0 <= member.size <= MAX_FILE_BYTES and _is_end(file, begin, member.size, size):
+                file.seek(begin)
+                data = file.read(member.size)
+                # The header was put right so that it fits; one wrong bit is all that is, so that the rest is whole.
+                if member.tobuf(tarfile.USTAR_FORMAT) == block or is_whole(data, member.name.rpartition("/")[2]):
+                    return _decode(data, member.name)
     return []
 
 
-def _read_at(file: BinaryIO, offset: int) -> list[Listed]:
-    file.seek(offset)
+def _blocks_from_the_end(file: BinaryIO, size: int) -> Iterator[tuple[int, bytes]]:
+    at = size
+    while at > 0:
+        begin = (at - 1) // PIECE * PIECE
+        file.seek(begin)
+        piece = file.read(at - begin)
+        for number in range((len(piece) - 1) // tarfile.BLOCKSIZE, -1, -1):
+            offset = number * tarfile.BLOCKSIZE
+            yield begin + offset, piece[offset : offset + tarfile.BLOCKSIZE]
+        at = begin
+
+
+def _headers_like(block: bytes) -> Iterator[tarfile.TarInfo]:
+    """What a block says as the header of the list, as it is or with one bit put right."""
+    begins = f"{FOLDER}/".encode()
+    off = _wrong_bits(block[: len(begins)], begins) + _wrong_bits(block[_MAGIC], b"ustar")
+    if len(block) != tarfile.BLOCKSIZE or off > 1:
+        return
+    as_number = int.from_bytes(block)
+    for wrong in (0, *(1 << bit for bit in range(NUM_BITS))):
+        try:
+            yield tarfile.TarInfo.frombuf((as_number ^ wrong).to_bytes(tarfile.BLOCKSIZE), "utf-8", "surrogateescape")
+        except tarfile.TarError:
+            continue
+        if not wrong:
+            return
+
+
+def _is_end(file: BinaryIO, begin: int, length: int, size: int) -> bool:
+    """Whether an archive of `size` bytes ends with this file: two blocks of zeros are behind it, or up to a record."""
+    end = begin + padded(length)
+    if not 2 * tarfile.BLOCKSIZE <= size - end <= tarfile.RECORDSIZE + 2 * tarfile.BLOCKSIZE:
+        return False
+    file.seek(end)
+    return int.from_bytes(file.read()).bit_count() <= 1
+
+
+def _decode(data: bytes, name: str) -> list[Listed]:
+    address = name.rpartition("/")[2]
+    right = data if is_whole(data, address) else heal(data, address)
+    files: list[Listed] = []
     try:
-        member = tarfile.TarInfo.frombuf(file.read(tarfile.BLOCKSIZE), "utf-8", "surrogateescape")
-        address = member.name.removeprefix(f"{FOLDER}/")
-        if not ADDRESS.fullmatch(address) or not 0 <= member.size <= MAX_FILE_BYTES:
-            return []
-        data = file.read(member.size)
-        right = data if is_whole(data, address) else heal(data, address)
-        return [] if right is None else [_listed(line) for line in right.decode().splitlines()]
-    except (tarfile.TarError, ValueError):  # it only looks like one
+        for line in () if right is None else right.decode().splitlines():
+            length, _, one = line.partition(" ")
+            if not 0 <= int(length) <= MAX_FILE_BYTES:
+                return []
+            files.append(Listed.behind(files[-1] if files else None, one, int(length)))
+    except ValueError:  # somebody else's list
         return []
+    return [*files, Listed.behind(files[-1], name, len(data))] if files else []
 
 
-def _listed(line: str) -> Listed:
-    offset, size, name = line.split(" ", 2)
-    listed = Listed(int(offset), int(size), name)
-    if not (0 <= listed.offset <= MAX_FILE_OFFSET and 0 <= listed.size <= MAX_FILE_BYTES):
-        raise ValueError("it lists what lies nowhere")
-    return listed
-
-
-def with_right_headers(file: BinaryIO, files: Iterable[Listed]) -> tuple[BinaryIO, list[str]]:
+def with_right_headers(file: BinaryIO, files: Sequence[Listed]) -> tuple[BinaryIO, list[str]]:
     """The archive with every listed header in which one bit is wrong put right, and the names of those files."""
-    blocks, names = {}, []
+    wrong = []
     for listed in files:
         file.seek(listed.offset)
-        wanted = listed.header
-        found = file.read(len(wanted))
-        if len(found) == len(wanted) and (int.from_bytes(found) ^ int.from_bytes(wanted)).bit_count() == 1:
-            blocks[listed.offset] = wanted
-            names.append(listed.name)
+        if _wrong_bits(file.read(len(listed.header)), listed.header) == 1:
+            wrong.append(listed)
     file.seek(0)
-    return cast(BinaryIO, _Patched(file, blocks)) if blocks else file, names
+    return cast(BinaryIO, _Patched(file, wrong)) if wrong else file, [listed.name for listed in wrong]
+
+
+def _wrong_bits(found: bytes, wanted: bytes) -> int:
+    """By which two differ; many where they are not of one length."""
+    if len(found) != len(wanted):
+        return 8 * len(wanted)
+    return (int.from_bytes(found) ^ int.from_bytes(wanted)).bit_count()
 
 
 class _Patched:
-    """What tarfile calls of a file that it only reads; some pieces of it are replaced."""
+    """What tarfile calls of a file that it only reads; some headers of it are replaced."""
 
-    def __init__(self, file: BinaryIO, pieces: dict[int, bytes]) -> None:
+    def __init__(self, file: BinaryIO, headers: Sequence[Listed]) -> None:
+        """`headers`: in their order, none in another one."""
         self._file = file
-        self._pieces = pieces
+        self._headers = headers
+        self._offsets = [listed.offset for listed in headers]
         self.seek, self.tell, self.seekable = file.seek, file.tell, file.seekable
 
     def read(self, size: int = -1, /) -> bytes:
         begin = self._file.tell()
-        data = io.BytesIO(self._file.read(size))
-        length = len(data.getbuffer())
-        for at, piece in self._pieces.items():
-            first, last = max(at, begin), min(at + len(piece), begin + length)
+        data = bytearray(self._file.read(size))
+        end = begin + len(data)
+        for listed in self._headers[max(0, bisect_right(self._offsets, begin) - 1) : bisect_right(self._offsets, end)]:
+            first, last = max(listed.offset, begin), min(listed.offset + len(listed.header), end)
             if first < last:
-                data.seek(first - begin)
-                data.write(piece[first - at : last - at])
-        return data.getvalue()
+                data[first - begin : last - begin] = listed.header[first - listed.offset : last - listed.offset]
+        return bytes(data)

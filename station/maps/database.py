@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import sqlite3
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +18,7 @@ from sqlalchemy.exc import DataError as NotStorable
 from sqlalchemy.pool import NullPool
 
 from shared.advice import install
+from shared.bounded import shown
 from shared.disk import lock
 from shared.errors import ConfigError, DataError
 from station.files.unwritable import Unwritable, cannot_write, why_unwritable
@@ -30,7 +32,9 @@ _SQLITE_IS_BROKEN = re.compile(
     r"malformed|not a database|no such (table|column)|unsupported file format|corrupt|text encoding|decode",
     re.IGNORECASE,
 )
-SQLITE_BEGINS = b"SQLite format 3\0"  # https://www.sqlite.org/fileformat.html
+# https://www.sqlite.org/fileformat.html
+SQLITE_BEGINS = b"SQLite format 3\0"
+SQLITE_WRITES_AT, SQLITE_WRITES_AHEAD, SQLITE_HEAD_BYTES = 18, b"\2", 20
 # https://www.sqlite.org/rescode.html: PERM, READONLY, IOERR, FULL, CANTOPEN
 _SQLITE_CANNOT_WRITE = (3, 8, 10, 13, 14)
 
@@ -124,26 +128,30 @@ class Database:
             upgrade(connection)
         return was_empty
 
-    def refuse_foreign(self) -> None:
-        """Raises DataError: the file that the settings name is no database of maps, and stays as it is.
+    def refuse_foreign(self, *, has_records: bool) -> None:
+        """Raises DataError: the file that the settings name is another program's, and stays as it is.
 
-        In the store's own folder a file of that name is ours, whatever became of it.
+        In the store's own folder a file of that name is ours, whatever became of it. One wrong bit makes ours no other
+        program's; a file that cannot be read at all is taken for ours where there are records of maps.
         """
         if self.path is None or not self._is_named or not self.exists:
             return
         remedy = "name another file in store.database, or move this one away where it was one: the records make it anew"
-        try:
-            with self._in_words(), self.path.open("rb") as file:
-                is_database = file.read(len(SQLITE_BEGINS)) == SQLITE_BEGINS
-            if is_database:
-                with self.reading() as connection:
-                    tables = inspect(connection).get_table_names()
-        except IndexDamaged as exc:
-            raise DataError(f"{exc}, and may be another program's; {remedy}") from exc
-        if not is_database:
+        with self._in_words(), self.path.open("rb") as file:
+            head = file.read(SQLITE_HEAD_BYTES)
+        if not _is_nearly(head[: len(SQLITE_BEGINS)], SQLITE_BEGINS):
             raise DataError(f"{self.place} is no SQLite database; {remedy}")
-        if tables and VERSIONS.name not in tables:
-            raise DataError(f"{self.place} is another program's database (it has a table {tables[0]!r}); {remedy}")
+        if head[SQLITE_WRITES_AT:].startswith(SQLITE_WRITES_AHEAD):
+            raise DataError(f"{self.place} is another program's database (it has a write-ahead log); {remedy}")
+        try:
+            tables = _tables_of(self.path)
+        except sqlite3.DatabaseError as exc:
+            if has_records:
+                return
+            raise DataError(f"{self.place} is damaged ({exc}), and may be another program's; {remedy}") from exc
+        if tables and not any(_is_nearly(table, VERSIONS.name.encode()) for table in tables):
+            first = shown(tables[0].decode(errors="replace"))
+            raise DataError(f"{self.place} is another program's database (it has a table {first}); {remedy}")
 
     def _refuse_programs(self, connection: Connection) -> None:
         """A view in a table's place, or a trigger: a file from elsewhere could compute without end."""
@@ -155,7 +163,9 @@ class Database:
         """A revision this program does not know: of a newer one, whose tables differ, or a wrong bit."""
         with self.reading() as connection:
             if not inspect(connection).has_table(VERSIONS.name):
-                raise IndexDamaged(f"{self.place} is damaged (it has no table {VERSIONS.name!r})")
+                if self.is_sqlite:
+                    raise IndexDamaged(f"{self.place} is damaged (it has no table {VERSIONS.name!r})")
+                raise DataError(f"{self.place} is another program's (migration {revision!r}); give one of its own")
             columns = {column["name"] for column in inspect(connection).get_columns(VERSIONS.name)}
         if columns == set(VERSIONS.c.keys()):
             raise IndexDamaged(f"{self.place} is damaged (it says it is at migration {revision!r})")
@@ -252,6 +262,20 @@ def upgrade(connection: Connection, revision: str = HEAD) -> None:
     run(config, revision)
 
 
+def _tables_of(path: Path) -> list[bytes]:
+    """Names of the tables of an SQLite file, which is only read: no journal is played back, none is written."""
+    with contextlib.closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as connection:
+        connection.text_factory = bytes
+        rows = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name").fetchall()
+    return [bytes(name) for (name,) in rows]
+
+
+def _is_nearly(found: bytes, wanted: bytes) -> bool:
+    """Whether one bit at most is another one."""
+    is_as_long = len(found) == len(wanted)
+    return is_as_long and (int.from_bytes(found) ^ int.from_bytes(wanted)).bit_count() <= 1
+
+
 def _url(url: str, folder: Path) -> URL:
     if not url:
         return URL.create("sqlite+pysqlite", database=str((folder / "maps.db").absolute()))
@@ -261,6 +285,8 @@ def _url(url: str, folder: Path) -> URL:
         raise ConfigError("store.database is no database URL; give postgresql://user@host/name") from exc
     if made.drivername in ("postgresql", "postgres"):
         made = made.set(drivername="postgresql+psycopg")
+    if "uri" in made.query or (made.database or "").startswith("file:"):
+        raise ConfigError("store.database: give SQLite's file by its path, as in sqlite:////var/lib/sentinel/maps.db")
     if made.get_backend_name() not in ("sqlite", "postgresql"):
         raise ConfigError(f"store.database: {made.get_backend_name()} is not supported; use postgresql or sqlite")
     return made

@@ -63,9 +63,12 @@ class RobotSearch:
         if fingerprint == self._met or not self._met:
             return ""
         names = {robot.fingerprint: robot.name for robot in self._paired()}
+        if self._met.hex() not in names:  # it was forgotten
+            self._met = b""
+            return ""
         who = names.get(fingerprint.hex(), "another robot")
         return (
-            f"{who} answers, and {names.get(self._met.hex(), 'another one')} was found before; start the station again"
+            f"{who} answers, and {names[self._met.hex()]} was found before; start the station again"
             " to look for any robot, or give each its NAME=HOST:PORT"
         )
 
