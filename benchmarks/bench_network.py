@@ -72,7 +72,7 @@ class Observed:
     pictures: list[Picture] = field(default_factory=list)
     holds: list[Hold] = field(default_factory=list)
     told: list[Told] = field(default_factory=list)  # in order of time
-    offsets: list[tuple[float, float]] = field(default_factory=list)  # s since the begin, ms
+    offsets: list[tuple[float, float]] = field(default_factory=list)  # s since everything had settled (begin_ns), ms
     untold_ms: list[float] = field(default_factory=list)  # by so much the offset is farther off than is told
     drifts_ppm: list[float] = field(default_factory=list)
     round_trips_ms: list[float] = field(default_factory=list)
@@ -297,7 +297,7 @@ def clock_figures(seen: Observed) -> Iterator[Figure]:
     yield Figure("error of the clock offset in the first two minutes", percentile(early, 100), "ms", of=len(early))
     yield Figure("error of the clock offset after it, longest", percentile(late, 100), "ms", CLOCK_MS, of=len(late))
     yield Figure(
-        f"error of the clock offset above {CLOCK_MS:g} ms for the last time at", max(wrong_s, default=0.0), "s"
+        f"error of the clock offset above {CLOCK_MS:g} ms, the last time after", max(wrong_s, default=None), "s"
     )
     untold_ms = max(seen.untold_ms, default=0.0)
     yield Figure(

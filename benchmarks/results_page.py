@@ -26,7 +26,7 @@ of earlier code, is in [studies](studies/README.md); [decision 9](decisions/0009
 """
 TABLE = "| what | figure | bound | command | commit | date | load |\n| --- | --- | --- | --- | --- | --- | --- |"
 NO_BOUND = "–"
-ALL_MET, NONE_MET = "all met", "**none met**"
+ALL_MET, NONE_MET = "all met", "**not met**"
 
 
 def page(results: dict[str, ResultFile]) -> str:

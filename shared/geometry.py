@@ -16,7 +16,9 @@ MIN_LEVEL = 0.31  # an axis whose horizontal part is shorter, 18 degrees from th
 SMALL_ANGLE_RAD = 1e-4  # below it series with terms up to angle^4 are exact to double precision
 MAX_QUAT_ERROR = 0.05  # of a length: files with two digits
 MAX_ROTATION_ERROR = 1e-3
-FARTHEST = 1e9  # of a position in a file: more is no place on Earth, and what is computed with it may overflow
+MAX_POSITION = (
+    1e9  # of what a file holds, metres or a map's units: a broken one has more, and what is computed overflows
+)
 DIAGONAL = np.arange(3)
 
 
@@ -197,14 +199,16 @@ def quat_from_rotation(R: FloatArray) -> FloatArray:
 
 def pose(t: FloatArray, q_wxyz: FloatArray) -> FloatArray:
     """A pose (4, 4) out of a file: position (3,) and quaternion (4,). Raises ValueError where they are none."""
-    if not (np.abs(t) < FARTHEST).all() or not abs(np.linalg.norm(q_wxyz) - 1.0) < MAX_QUAT_ERROR:  # NaN fails as well
+    if (
+        not (np.abs(t) < MAX_POSITION).all() or not abs(np.linalg.norm(q_wxyz) - 1.0) < MAX_QUAT_ERROR
+    ):  # NaN fails as well
         raise ValueError(f"position {t.tolist()} with quaternion {q_wxyz.tolist()} (w x y z) is no pose")
     return se3(rotation_from_quat(q_wxyz), t)
 
 
 def poses(t: FloatArray, q_wxyz: FloatArray) -> FloatArray:
     """Poses (N, 4, 4) out of a file, to the last bit those of `pose`: positions (N, 3), quaternions (N, 4)."""
-    fits = (np.abs(t) < FARTHEST).all(axis=1) & (np.abs(_lengths(q_wxyz)[:, 0] - 1.0) < MAX_QUAT_ERROR)
+    fits = (np.abs(t) < MAX_POSITION).all(axis=1) & (np.abs(_lengths(q_wxyz)[:, 0] - 1.0) < MAX_QUAT_ERROR)
     if not fits.all():
         first = int(np.argmin(fits))
         pose(t[first], q_wxyz[first])  # says what is wrong
@@ -214,10 +218,10 @@ def poses(t: FloatArray, q_wxyz: FloatArray) -> FloatArray:
 
 
 def are_poses(T: FloatArray) -> bool:
-    """Whether these (N, 4, 4) are rigid motions to somewhere on Earth; False for any that is not finite."""
+    """Whether these (N, 4, 4) are rigid motions within MAX_POSITION; False for any that is not finite."""
     R = T[:, :3, :3]
     off = np.abs(R @ R.swapaxes(1, 2) - np.eye(3)).max(initial=0.0)
-    return bool((np.abs(T) < FARTHEST).all() and off < MAX_ROTATION_ERROR and (T[:, 3] == (0, 0, 0, 1)).all())
+    return bool((np.abs(T) < MAX_POSITION).all() and off < MAX_ROTATION_ERROR and (T[:, 3] == (0, 0, 0, 1)).all())
 
 
 def rotation_from_quat(q_wxyz: FloatArray) -> FloatArray:

@@ -22,7 +22,9 @@ from station.config import show_address
 READ_BYTES = 256 * 1024
 CONNECT_WITHIN_S = 1.5
 LOOK_EVERY_S = 0.5  # whether a robot is still paired
-LOOKS = 2  # that do not find it, before it is left: a file may be away for a moment, while somebody puts back an older one
+LOOKS = (
+    2  # that do not find it, before it is left: a file may be away for a moment, while somebody puts back an older one
+)
 
 
 class ConnectionRefused(RobotSystemError):

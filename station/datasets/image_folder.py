@@ -15,7 +15,7 @@ import numpy as np
 from shared.bounded import read_text
 from shared.calibration import Calibration
 from shared.errors import DataError
-from shared.geometry import FARTHEST, FloatArray, orthonormal, se3
+from shared.geometry import MAX_POSITION, FloatArray, orthonormal, se3
 from shared.pictures import picture_size
 from shared.recorded_files import FIRST_STAMP, depth_images, image_times_ns, images_in_order
 from shared.sensor_yaml import CAMERA_FILES, read_folder_camera, read_folder_depth
@@ -106,4 +106,4 @@ def read_pose(image: Path) -> FloatArray | None:
         raise DataError(f"{path} is not a 4x4 matrix of numbers; correct or remove it") from exc
     if T.shape != (4, 4):
         raise DataError(f"{path} is not a 4x4 matrix; correct or remove it")
-    return se3(orthonormal(T[:3, :3]), T[:3, 3]) if (np.abs(T) < FARTHEST).all() else None
+    return se3(orthonormal(T[:3, :3]), T[:3, 3]) if (np.abs(T) < MAX_POSITION).all() else None

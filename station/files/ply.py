@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from shared.bounded import MAX_FILE_BYTES, MAX_LINE_BYTES, read_file
+from shared.bounded import MAX_FILE_BYTES, MAX_LINE_BYTES, read_file, shown
 from shared.errors import DataError
-from shared.geometry import FloatArray
+from shared.geometry import MAX_POSITION, FloatArray
 
 # numpy's type → PLY's names for it: the one that is written, and a newer one
 TYPE_NAMES = {
@@ -29,8 +29,7 @@ PLY_TYPES = {name: kind for kind, names in TYPE_NAMES.items() for name in names}
 FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 MAX_HEADER_BYTES = 65_536
 MAX_POINTS = 200_000_000
-MAX_DIGITS = 18  # of a count: Python refuses to read thousands
-MAX_SHOWN = 80  # characters of a line that somebody else wrote
+MAX_DIGITS = 20  # of a count: Python reads no integer of thousands
 ROWS_AT_ONCE = 4096
 
 Columns = dict[str, npt.NDArray[Any]]
@@ -86,6 +85,12 @@ def decode_ply(content: bytes, path: Path) -> Columns:
         if name == "vertex":
             if not {"x", "y", "z"} <= columns.keys():
                 raise DataError(f"{path} has vertices without x, y and z; export it as a point cloud")
+            for axis in "xyz":
+                far = columns[axis][np.isfinite(columns[axis]) & ~(np.abs(columns[axis]) < MAX_POSITION)]
+                if len(far):
+                    raise DataError(
+                        f"{path} has a point at {axis} = {far[0]:g}, farther than {MAX_POSITION:g}; remove it"
+                    )
             return columns
     raise DataError(f"{path} holds no vertices; export it as a point cloud")
 
@@ -108,7 +113,7 @@ def _parse_header(path: Path, content: bytes) -> tuple[str, list[tuple[str, int,
         match words:
             case ["format", kind, *_]:
                 file_format = kind
-            case ["element", name, count] if count.isdecimal() and len(count) <= MAX_DIGITS:
+            case ["element", name, count] if count.isdecimal() and len(count) < MAX_DIGITS:
                 elements.append((name, int(count), []))
             case ["property", "list", _, _, name] if elements:
                 elements[-1][2].append((name, "list"))
@@ -117,7 +122,7 @@ def _parse_header(path: Path, content: bytes) -> tuple[str, list[tuple[str, int,
             case [] | ["comment", *_] | ["obj_info", *_]:
                 pass
             case _:
-                raise DataError(f"{path} has an unreadable header line {line[:MAX_SHOWN]!r}; export the cloud again")
+                raise DataError(f"{path} has an unreadable header line {shown(line)}; export the cloud again")
     if file_format not in FORMATS:
         raise DataError(f"{path} has the unknown PLY format {file_format!r}; export it as ascii or binary")
     if any(count > MAX_POINTS for _, count, _ in elements):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
@@ -320,6 +321,45 @@ def test_the_file_of_another_program_is_refused_and_stays_as_it_was(
             use()
     assert [path.name for path in tmp_path.iterdir() if path.name != "maps"] == ["theirs"]
     assert theirs.read_bytes() == before
+
+
+@pytest.mark.parametrize("mode", ["WAL", "DELETE"])
+def test_a_database_that_another_program_left_unfinished_is_not_touched(
+    place_map: PlaceMap, tmp_path: Path, mode: str
+) -> None:
+    """By a kill: what its log or journal says is for that program to put right."""
+    theirs = tmp_path / "theirs"
+    theirs.mkdir()
+    with contextlib.closing(sqlite3.connect(theirs / "songs", isolation_level=None)) as connection:
+        connection.execute(f"PRAGMA journal_mode={mode}")
+        connection.execute("PRAGMA cache_size=1")
+        connection.execute("CREATE TABLE song (title TEXT)")
+        connection.execute("BEGIN")
+        for _ in range(200):
+            connection.execute("INSERT INTO song VALUES (hex(randomblob(500)))")
+        shutil.copytree(theirs, tmp_path / "left")
+        connection.execute("ROLLBACK")
+    left = tmp_path / "left"
+    before = {path.name: path.read_bytes() for path in left.iterdir()}
+    assert len(before) > 1
+    with pytest.raises(DataError, match="another program's database"):
+        MapStore(StoreAddress(tmp_path / "maps", f"sqlite:///{left / 'songs'}")).save(place_map)
+    assert {path.name: path.read_bytes() for path in left.iterdir()} == before
+
+
+@pytest.mark.parametrize("at", [3, 100])
+def test_one_wrong_bit_makes_ours_no_other_programs(place_map: PlaceMap, tmp_path: Path, at: int) -> None:
+    address = StoreAddress(tmp_path / "maps", f"sqlite:///{tmp_path / 'ours.db'}")
+    MapStore(address).save(place_map)
+    content = bytearray((tmp_path / "ours.db").read_bytes())
+    content[at] ^= 1
+    (tmp_path / "ours.db").write_bytes(content)
+    assert [one.id for one in MapStore(address).list()] == [place_map.id]
+
+
+def test_a_database_is_named_by_its_path(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="by its path"):
+        MapStore(StoreAddress(tmp_path, f"sqlite:///file:{tmp_path}/x.db?uri=true"))
 
 
 def test_a_database_that_the_settings_name_is_used_again(place_map: PlaceMap, tmp_path: Path) -> None:

@@ -100,3 +100,5 @@ def test_only_the_robot_that_was_met_is_meant_from_then_on(paired: PairedRobots)
     assert not search.refusal(b"\xaa" * 32)
     assert "Anna was found before" in search.refusal(b"\xbb" * 32)
     assert search.refusal(b"")  # one that shows no certificate at all
+    paired.forget("Anna")
+    assert not search.refusal(b"\xbb" * 32)
