@@ -257,7 +257,7 @@ class RobotLink:
                 raise end
         # One that speaks TLS waits for ours, and we for its greeting.
         unpaired = "; if it has access control, pair with it (docs/access.md)"
-        is_mute = self._arrived.is_silent and not connection.fingerprint
+        is_mute = self._robots is not None and not connection.fingerprint and self._arrived.is_empty
         return f"{self._session.close_reason}{unpaired if is_mute else ''}"
 
     async def _open(self) -> Connection:

@@ -58,7 +58,7 @@ class Arrivals:
         self._connection_frame = -1
 
     @property
-    def is_silent(self) -> bool:
+    def is_empty(self) -> bool:
         """Whether this connection has carried nothing yet."""
         return self._connection_bytes == 0
 
