@@ -190,7 +190,7 @@ def test_a_damaged_backup_gives_what_is_whole(place_map: PlaceMap, store: MapSto
         restore_backup(other, backup)
 
 
-def test_a_wrong_bit_in_any_header_of_a_backup_costs_what_it_leads_to_and_is_told(
+def test_two_wrong_bits_in_any_header_of_a_backup_cost_what_it_leads_to_and_are_told(
     place_map: PlaceMap, store: MapStore, tmp_path: Path
 ) -> None:
     backup = tmp_path / "b.tar"
@@ -201,6 +201,7 @@ def test_a_wrong_bit_in_any_header_of_a_backup_costs_what_it_leads_to_and_is_tol
     for number, (name, offset) in enumerate(members):
         data = bytearray(whole)
         data[offset + (10, 124, 130, 150, 156, 345)[number % 6]] ^= 4
+        data[offset + 257] ^= 1  # one alone would be put right
         backup.write_bytes(data)
         report = restore_backup(MapStore(tmp_path / f"restored-{number}"), backup)
         assert any("cannot be read" in sentence for sentence in report.damaged), name
