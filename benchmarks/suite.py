@@ -66,7 +66,10 @@ SUITE = (
     Benchmark("slam_flats", SLAM, "slam_studies", "flats --discard", None),
     Benchmark(
         "smoothing", SLAM, "bench_smoothing",
-        f"{DATA}/euroc_v1_01_flight {DATA}/euroc_v1_01_static --v102 0-4 --flats 0-2", None,
+        f"{DATA}/euroc_v1_01_flight {DATA}/euroc_v1_01_static --flats 0-2", None, data=f"{DATA}/euroc_v1_01_flight",
+    ),
+    Benchmark(
+        "smoothing_v102", SLAM, "bench_smoothing", "--v102 0-19 --backend smoothing", None,
         data=f"{DATA}/euroc_v1_02_imu",
     ),
     Benchmark(

@@ -82,7 +82,7 @@ def export(
         _whole_or_not(out, lambda path: path.write_bytes(picture))
         return
     if file_format in ("tum", "euroc") and not len(nav.trajectory):
-        raise DataError(f"{source} has no trajectory to write, not one pose; run `station slam DATASET` again")
+        raise DataError(f"{source} has no trajectory to write, not one pose; make the navigation again")
     writers: dict[str, Callable[[Navigation, Path], object]] = {
         "tum": lambda nav, path: path.write_text(format_tum(nav.trajectory)),
         "ply": export_ply,
