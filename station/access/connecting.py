@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
+import logging
 import os
 import socket
 import ssl
@@ -18,6 +18,8 @@ from shared.listening import is_loopback
 from shared.prompt_sending import UNSENT_COMMAND_BYTES, send_promptly
 from station.access.paired_robots import PairedRobots
 from station.config import show_address
+
+logger = logging.getLogger(__name__)
 
 READ_BYTES = 256 * 1024
 CONNECT_WITHIN_S = 1.5
@@ -105,13 +107,18 @@ async def connect_and_hear(
 
 async def until_forgotten(connection: Connection, robots: PairedRobots | None) -> str:
     """Wait until the robot at the other end is paired no longer, and say so; for ever where it need not be."""
-    missed = 0
+    missed, damage = 0, ""
     while missed < LOOKS:
         await asyncio.sleep(LOOK_EVERY_S)
         if robots is None or not connection.fingerprint:
             continue
-        with contextlib.suppress(ConfigError):  # the file is damaged: who was let in stays
+        try:
             missed = 0 if await asyncio.to_thread(robots.knows, connection.fingerprint) else missed + 1
+            damage = ""
+        except ConfigError as exc:  # who was let in stays
+            if str(exc) != damage:
+                damage = str(exc)
+                logger.warning("whether the robot is still paired cannot be looked up: %s", damage)
     return "its certificate is not paired with this station any more"
 
 

@@ -28,7 +28,10 @@ MAX_PIECE_BYTES = MB  # no header of ours has more
 # What tarfile raises for one that is none: it trusts what it finds in headers, and follows them one in another.
 _NO_ARCHIVE = (tarfile.TarError, EOFError, ValueError, OverflowError, RecursionError)
 README_NAME = "README.txt"
-README = b"Maps of a Sentinel station: `station map restore FILE` brings them back. File names end in sha256-crc32.\n"
+README_BEFORE_LISTS = (
+    b"Maps of a Sentinel station: `station map restore FILE` brings them back. File names end in sha256-crc32.\n"
+)
+README = README_BEFORE_LISTS + b"The last file lists all others.\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,6 +190,7 @@ class _Found:
         self.strangers, self.first_stranger = 0, ""  # entries that no backup has
         self.listed: list[Listed] = []  # what was written into it, where it says so
         self._names: set[str] = set()
+        self._has_no_list = False  # it was written before there were lists
         self._store = store
         self._path = path
 
@@ -204,6 +208,8 @@ class _Found:
             self._look_at_list(archive, member, address)
             return
         if not member.isfile() or not ADDRESS.fullmatch(address):
+            if member.isfile() and member.name == README_NAME and member.size == len(README_BEFORE_LISTS):
+                self._has_no_list = _read(archive, member, len(README_BEFORE_LISTS)) == README_BEFORE_LISTS
             if member.name != README_NAME:
                 self.strangers += 1
                 self.first_stranger = self.first_stranger or member.name
@@ -229,9 +235,10 @@ class _Found:
         return healed
 
     def _look_at_list(self, archive: tarfile.TarFile, member: tarfile.TarInfo, address: str) -> None:
-        """It was read before; here it is told how it is."""
+        """How it is; it was read before, but where something stands behind it."""
         try:
-            self._whole(_read(archive, member, MAX_FILE_BYTES), member.name, address)
+            data = self._whole(_read(archive, member, MAX_FILE_BYTES), member.name, address)
+            self.listed = self.listed or backup_list.decode(data, member.name)
         except (Refused, _LeftOut) as exc:
             self.damaged.append(f"{self._path}: its list {exc}; whether something was taken out cannot be told")
 
@@ -240,6 +247,8 @@ class _Found:
 
     def compare(self) -> None:
         """With what was written into it."""
+        if self.records and not (self.listed or self._has_no_list or self.damaged):
+            self.damaged.append(f"{self._path}: its list is missing; whether something was taken out cannot be told")
         missing = [file.name for file in self.listed if file.name not in self._names]
         if missing:
             self.damaged.append(

@@ -73,7 +73,7 @@ def read(file: BinaryIO) -> list[Listed]:
                 data = file.read(member.size)
                 # The header was put right so that it fits; one wrong bit is all that is, so that the rest is whole.
                 if member.tobuf(tarfile.USTAR_FORMAT) == block or is_whole(data, member.name.rpartition("/")[2]):
-                    return _decode(data, member.name)
+                    return decode(data, member.name)
     return []
 
 
@@ -114,7 +114,8 @@ def _is_end(file: BinaryIO, begin: int, length: int, size: int) -> bool:
     return int.from_bytes(file.read()).bit_count() <= 1
 
 
-def _decode(data: bytes, name: str) -> list[Listed]:
+def decode(data: bytes, name: str) -> list[Listed]:
+    """What the list with this name says, itself last; nothing where it is none."""
     address = name.rpartition("/")[2]
     right = data if is_whole(data, address) else heal(data, address)
     files: list[Listed] = []

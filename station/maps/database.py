@@ -34,7 +34,9 @@ _SQLITE_IS_BROKEN = re.compile(
 )
 # https://www.sqlite.org/fileformat.html
 SQLITE_BEGINS = b"SQLite format 3\0"
-SQLITE_WRITES_AT, SQLITE_WRITES_AHEAD, SQLITE_HEAD_BYTES = 18, b"\2", 20
+SQLITE_WRITES_AT, SQLITE_WRITES_AHEAD, SQLITE_HEAD_BYTES = 18, b"\2", 100
+SQLITE_USER_VERSION, SQLITE_STAMP = slice(60, 64), slice(68, 72)
+STAMP = b"SntM"  # its application_id
 # https://www.sqlite.org/rescode.html: PERM, READONLY, IOERR, FULL, CANTOPEN
 _SQLITE_CANNOT_WRITE = (3, 8, 10, 13, 14)
 
@@ -126,32 +128,38 @@ class Database:
         with self.writing("migrations") as connection:
             was_empty = self.revision(connection) is None
             upgrade(connection)
+            if self.is_sqlite:
+                connection.exec_driver_sql(f"PRAGMA application_id = {int.from_bytes(STAMP)}")
         return was_empty
 
-    def refuse_foreign(self, *, has_records: bool) -> None:
+    def refuse_foreign(self) -> None:
         """Raises DataError: the file that the settings name is another program's, and stays as it is.
 
-        In the store's own folder a file of that name is ours, whatever became of it. One wrong bit makes ours no other
-        program's; a file that cannot be read at all is taken for ours where there are records of maps.
+        In the store's own folder a file of that name is ours, whatever became of it, and so is one with our stamp. One
+        without was made before there were stamps: then it has our table.
         """
         if self.path is None or not self._is_named or not self.exists:
             return
-        remedy = "name another file in store.database, or move this one away where it was one: the records make it anew"
         with self._in_words(), self.path.open("rb") as file:
             head = file.read(SQLITE_HEAD_BYTES)
+        stamp = head[SQLITE_STAMP]
         if not _is_nearly(head[: len(SQLITE_BEGINS)], SQLITE_BEGINS):
-            raise DataError(f"{self.place} is no SQLite database; {remedy}")
-        if head[SQLITE_WRITES_AT:].startswith(SQLITE_WRITES_AHEAD):
-            raise DataError(f"{self.place} is another program's database (it has a write-ahead log); {remedy}")
-        try:
-            tables = _tables_of(self.path)
-        except sqlite3.DatabaseError as exc:
-            if has_records:
-                return
-            raise DataError(f"{self.place} is damaged ({exc}), and may be another program's; {remedy}") from exc
-        if tables and not any(_is_nearly(table, VERSIONS.name.encode()) for table in tables):
-            first = shown(tables[0].decode(errors="replace"))
-            raise DataError(f"{self.place} is another program's database (it has a table {first}); {remedy}")
+            why = "is no SQLite database"
+        elif _is_nearly(stamp, STAMP):
+            return
+        elif any(stamp) or any(head[SQLITE_USER_VERSION]) or head[SQLITE_WRITES_AT:].startswith(SQLITE_WRITES_AHEAD):
+            why = "is another program's database (its header has that program's numbers)"
+        else:
+            try:
+                columns, others = _looked_into(self.path)
+            except sqlite3.DatabaseError as exc:
+                why = f"is damaged ({exc}), and may be another program's"
+            else:
+                if columns >= {"map_id", "number", "seal"} or not others:
+                    return
+                why = f"is another program's database (it has {shown(others[0])})"
+        remedy = "name another file in store.database, or move this one away where it was one: the records make it anew"
+        raise DataError(f"{self.place} {why}; {remedy}")
 
     def _refuse_programs(self, connection: Connection) -> None:
         """A view in a table's place, or a trigger: a file from elsewhere could compute without end."""
@@ -262,12 +270,16 @@ def upgrade(connection: Connection, revision: str = HEAD) -> None:
     run(config, revision)
 
 
-def _tables_of(path: Path) -> list[bytes]:
-    """Names of the tables of an SQLite file, which is only read: no journal is played back, none is written."""
+def _looked_into(path: Path) -> tuple[set[str], list[str]]:
+    """Columns of our table in an SQLite file, and the names of whatever is in it.
+
+    It is only read: no journal is played back, none is written.
+    """
     with contextlib.closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as connection:
-        connection.text_factory = bytes
-        rows = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name").fetchall()
-    return [bytes(name) for (name,) in rows]
+        connection.text_factory = lambda data: data.decode(errors="replace")
+        columns = connection.execute(f"PRAGMA table_info({VERSIONS.name})").fetchall()
+        names = connection.execute("SELECT name FROM sqlite_master ORDER BY name").fetchall()
+    return {str(row[1]) for row in columns}, [str(name) for (name,) in names]
 
 
 def _is_nearly(found: bytes, wanted: bytes) -> bool:

@@ -32,7 +32,7 @@ def open_contents(contents: Contents, root: Path, *, is_copy: bool = False) -> N
     Raises Unwritable where that needs a write and there can be none; in a copy of the index it can be done then.
     Raises DataError where the settings name another program's file.
     """
-    contents.database.refuse_foreign(has_records=next(iter(contents.bucket.names(FOLDER)), None) is not None)
+    contents.database.refuse_foreign()
     try:
         was_empty = contents.database.migrate()
         if not was_empty:

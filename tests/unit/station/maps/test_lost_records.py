@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import tarfile
@@ -17,7 +18,7 @@ from typer.testing import CliRunner
 from shared.errors import DataError
 from station.main import app
 from station.maps import versions
-from station.maps.backup import restore_backup, write_backup
+from station.maps.backup import README, README_BEFORE_LISTS, README_NAME, restore_backup, write_backup
 from station.maps.blobs import RENEWED_AFTER_S, blob_name
 from station.maps.editing import with_place_renamed
 from station.maps.repair.check import repair, verify
@@ -285,13 +286,21 @@ def test_a_damaged_list_costs_no_map(
     assert len(opened(tmp_path / "other" / "maps").history(place_map.id)) == 3
 
 
-def test_a_backup_without_a_list_is_read(root: Path, place_map: PlaceMap, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("readme", "code"), [(README_BEFORE_LISTS, 0), (README, 1), (None, 1)])
+def test_a_backup_without_a_list_is_read_and_one_that_had_it_is_told(
+    root: Path, place_map: PlaceMap, tmp_path: Path, readme: bytes | None, code: int
+) -> None:
     whole, without = tmp_path / "b.tar", tmp_path / "c.tar"
     run("backup", str(whole), "--data", str(root.parent))
     with tarfile.open(whole) as archive, tarfile.open(without, "w") as out:
-        for member in archive.getmembers()[:-1]:
+        if readme is not None:
+            member = tarfile.TarInfo(README_NAME)
+            member.size = len(readme)
+            out.addfile(member, io.BytesIO(readme))
+        for member in archive.getmembers()[1:-1]:
             out.addfile(member, archive.extractfile(member))
-    run("restore", str(without), "--data", str(tmp_path / "other"))
+    told = run("restore", str(without), "--data", str(tmp_path / "other"), code=code)
+    assert ("its list is missing" in told) == bool(code)
     assert len(opened(tmp_path / "other" / "maps").history(place_map.id)) == 3
 
 

@@ -302,11 +302,18 @@ def test_a_newer_database_is_refused(place_map: PlaceMap, tmp_path: Path) -> Non
         ("CREATE TABLE song (title TEXT)", None, "another program's database .*'song'"),
         ("CREATE TABLE alembic_version (version_num TEXT); INSERT INTO alembic_version VALUES ('9')", None, "'alembic"),
         ("CREATE TABLE song (title TEXT)", 500, "may be another program's"),
+        ("CREATE VIEW song AS SELECT 1", None, "another program's database .*'song'"),
+        ("CREATE TABLE map_version (a, b)", None, "another program's database .*'map_version'"),
+        ("PRAGMA application_id = 1234567", None, "another program's database"),
+        ("PRAGMA user_version = 7", None, "another program's database"),
     ],
 )
+@pytest.mark.parametrize("has_maps", [False, True])
 def test_the_file_of_another_program_is_refused_and_stays_as_it_was(
-    place_map: PlaceMap, tmp_path: Path, tables: str, cut: int | None, said: str
+    place_map: PlaceMap, tmp_path: Path, tables: str, cut: int | None, said: str, has_maps: bool
 ) -> None:
+    if has_maps:
+        MapStore(tmp_path / "maps").save(place_map)
     theirs = tmp_path / "theirs"
     if tables:
         with contextlib.closing(sqlite3.connect(theirs)) as connection:
