@@ -2,7 +2,7 @@
 
     python -m benchmarks.bench_memory                                    # a try
     python -m benchmarks.bench_memory --minutes 180 --warm-up 10         # the bound: 1 % in three hours
-    python -m benchmarks.bench_memory --devices emulated --work recording
+    python -m benchmarks.bench_memory --devices emulated --doing recording
     python -m benchmarks.bench_memory --minutes 180 --warm-up 10 --fps 5 --together    # three hours instead of a day
 
 Each case has programs of its own: robot-server with simulated, recorded or emulated devices (the real firmware in an
@@ -166,7 +166,7 @@ def main() -> None:
     parser.add_argument("--fps", type=float, default=20.0, help="pictures a second")
     parser.add_argument("--together", action="store_true", help="all cases at once")
     parser.add_argument("--devices", nargs="+", choices=DEVICES, default=DEVICES)
-    parser.add_argument("--work", nargs="+", choices=WORK, default=WORK)
+    parser.add_argument("--doing", nargs="+", choices=WORK, default=WORK)
     add_results_option(parser, "memory")
     options = parser.parse_args()
     if "emulated" in options.devices:
@@ -174,7 +174,7 @@ def main() -> None:
             parser.error(reason)
         board.build()
     run = Run.begin()
-    cases = [Recorded(Case(devices, work)) for devices, work in itertools.product(options.devices, options.work)]
+    cases = [Recorded(Case(devices, work)) for devices, work in itertools.product(options.devices, options.doing)]
     with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(len(cases) if options.together else 1) as pool:
         folder = Path(name)
         write_dataset(folder / DATASET, options.fps)

@@ -48,7 +48,7 @@ SUITE = (
     ),
     Benchmark(
         "memory_emulated_recording", LINK, "bench_memory",
-        "--minutes 180 --warm-up 10 --fps 3 --devices emulated --work recording", None,
+        "--minutes 180 --warm-up 10 --fps 3 --devices emulated --doing recording", None,
     ),
     Benchmark("renderer", SLAM, "bench_renderer", "--frames 200", "--frames 5"),
     Benchmark("simulated_views", SLAM, "bench_simulated_views", "--seeds 10", "--seeds 1 --pairs 2"),
