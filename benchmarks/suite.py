@@ -36,6 +36,7 @@ SUITE = (
     Benchmark("network_cuts", LINK, "bench_network", "--cuts-alone --seconds 240", None),
     Benchmark("network_demo_busy", LINK, "bench_network_demo", "--profiles 'busy 2.4 GHz'", None),
     Benchmark("network_demo_two_walls", LINK, "bench_network_demo", "--profiles 'two walls'", None),
+    Benchmark("network_demo_others", LINK, "bench_network_demo", "--profiles 'good Wi-Fi' roaming", None),
     Benchmark("fleet", LINK, "bench_fleet", "--minutes 10", "--minutes 0.5 --robots 2"),
     Benchmark(
         "memory", LINK, "bench_memory",

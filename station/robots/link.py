@@ -52,7 +52,7 @@ from station.robots.link_clock import LinkClock
 from station.robots.link_commands import DueMessages, LinkCommands
 from station.robots.link_events import LinkListener
 from station.robots.link_log import LinkLog
-from station.robots.link_state import Arrivals, Hearing, LinkState, RateMeter
+from station.robots.link_state import MAY_BE_UNPAIRED, Arrivals, Hearing, LinkState, RateMeter
 from station.robots.network import NetworkState, OwnPauses, RecentDelays
 from station.robots.search import Find, FoundRobot, RobotSearch
 
@@ -255,10 +255,8 @@ class RobotLink:
                 self._session.close(Event.LOST, f"connection lost: {in_words(end, address)}")
             elif isinstance(end, Exception) and not isinstance(end, _Ended):
                 raise end
-        # One that speaks TLS waits for ours, and we for its greeting.
-        unpaired = "; if it has access control, pair with it (docs/access.md)"
         is_mute = self._robots is not None and not connection.fingerprint and self._arrived.is_empty
-        return f"{self._session.close_reason}{unpaired if is_mute else ''}"
+        return self._session.close_reason + (MAY_BE_UNPAIRED if is_mute else "")
 
     async def _open(self) -> Connection:
         """The way that was opened already, or a new one."""

@@ -15,6 +15,10 @@ RATE_WINDOW_NS = 2_000_000_000
 UNHEARD_AFTER_NS, UNHEARD_FOR_NS, UNHEARD_MESSAGES = 900_000_000, 250_000_000, 10
 
 
+# One that speaks TLS waits for our greeting, and we for its.
+MAY_BE_UNPAIRED = "; if it has access control, pair with it (docs/access.md)"
+
+
 @dataclass(frozen=True, slots=True)
 class LinkState:
     """Snapshot of a link for the API and the page. Counts run since the link was made."""
