@@ -247,7 +247,8 @@ class _Found:
 
     def compare(self) -> None:
         """With what was written into it."""
-        if self.records and not (self.listed or self._has_no_list or self.damaged):
+        is_ours = self.records or self.addresses
+        if is_ours and not (self.listed or self._has_no_list or self.damaged):
             self.damaged.append(f"{self._path}: its list is missing; whether something was taken out cannot be told")
         missing = [file.name for file in self.listed if file.name not in self._names]
         if missing:

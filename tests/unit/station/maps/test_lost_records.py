@@ -304,6 +304,17 @@ def test_a_backup_without_a_list_is_read_and_one_that_had_it_is_told(
     assert len(opened(tmp_path / "other" / "maps").history(place_map.id)) == 3
 
 
+def test_a_backup_of_which_records_and_list_were_taken_out_is_refused(root: Path, tmp_path: Path) -> None:
+    whole, without = tmp_path / "b.tar", tmp_path / "c.tar"
+    run("backup", str(whole), "--data", str(root.parent))
+    with tarfile.open(whole) as archive, tarfile.open(without, "w") as out:
+        for member in archive.getmembers():
+            if not member.name.startswith(("records/", "contents/")):
+                out.addfile(member, archive.extractfile(member))
+    with pytest.raises(DataError, match="its list is missing"):
+        restore_backup(opened(tmp_path / "other"), without)
+
+
 @pytest.mark.parametrize("kind", ["records", "blobs"])
 def test_what_somebody_took_out_of_a_backup_is_told(root: Path, tmp_path: Path, kind: str) -> None:
     whole, without = tmp_path / "b.tar", tmp_path / "c.tar"
