@@ -37,6 +37,11 @@ def bind(host: str, port: int) -> socket.socket:
     return listener
 
 
+def show_address(host: str, port: int) -> str:
+    """HOST:PORT, and [HOST]:PORT of an IPv6 address: as addresses and `station.config.parse_address` are read."""
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
 def is_loopback(host: str) -> bool:
     """Whether only programs on this machine reach this address (or all addresses that this name has)."""
     try:

@@ -194,11 +194,6 @@ def parse_address(text: str, option: str) -> tuple[str, int]:
     raise ConfigError(f"{option} {text!r} is no HOST:PORT, for example 192.168.1.20:{DEFAULT_PORT}")
 
 
-def show_address(host: str, port: int) -> str:
-    """As `parse_address` reads it."""
-    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-
-
 def _is_v6(text: str) -> bool:
     try:
         ipaddress.IPv6Address(text)

@@ -13,10 +13,10 @@ from shared.access import Token
 from shared.advice import option
 from shared.certificates import show_fingerprint
 from shared.errors import ConfigError
-from shared.listening import is_loopback
+from shared.listening import is_loopback, show_address
 from shared.private_files import locked, make_private_folder, read_private, write_private
 from shared.text import explain, printable
-from station.config import parse_address, show_address
+from station.config import parse_address
 
 logger = logging.getLogger(__name__)
 FILE_NAME = "robots.json"

@@ -18,6 +18,7 @@ from shared.access import Role
 from shared.advice import complete, option
 from shared.certificates import CERTIFICATE_NAME, make_identity, open_identity, show_fingerprint
 from shared.errors import ConfigError
+from shared.listening import show_address
 from shared.pairing import parse_code
 from shared.token_book import TokenBook, TokenRecord
 from shared.token_lines import revoke_token, show_tokens
@@ -27,7 +28,7 @@ from station.access.pairing import confirm
 from station.access.pairing import pair as pair_with
 from station.access.visitors import LINK_S, access_folder
 from station.commands.options import Config, Data, Json
-from station.config import DEFAULT_DATA_DIR, load_config, parse_address, show_address
+from station.config import DEFAULT_DATA_DIR, load_config, parse_address
 
 CERTIFICATE_DAYS = 820  # some browsers take no longer one
 FIRST = "owner"
