@@ -18,7 +18,7 @@ from shared.certificates import open_identity
 from shared.discovery import DEFAULT_PORT
 from shared.disk import remove_scratch
 from shared.errors import ConfigError, LocalProtocolError
-from shared.listening import is_loopback
+from shared.listening import is_loopback, show_address
 from shared.messages import (
     AskDatagrams,
     Drive,
@@ -152,6 +152,7 @@ def pairing_sentence(code: str, bound_to: str = "", port: int = DEFAULT_PORT) ->
     host, shown = f"{socket.gethostname() or 'ROBOT'}.local", show_code(code)
     if bound_to and is_loopback(bound_to):
         host = bound_to  # nobody reaches it by its name
-    host += "" if port == DEFAULT_PORT else f":{port}"
+    if port != DEFAULT_PORT:
+        host = show_address(host, port)
     minutes = CODE_LIFE_S / 60
     return f"pairing code {shown}, good for {minutes:.0f} minutes; on the PC: station pair {host} --code {shown}"

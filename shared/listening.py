@@ -30,7 +30,7 @@ def bind(host: str, port: int) -> socket.socket:
     except OSError as exc:
         listener.close()
         raise ConfigError(
-            f"cannot listen on {host}:{port} ({exc.strerror});"
+            f"cannot listen on {show_address(host, port)} ({exc.strerror});"
             " stop the program that uses the port or choose another with --port"
         ) from exc
     listener.setblocking(False)

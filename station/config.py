@@ -17,6 +17,7 @@ from shared.bounded import MAX_SETTINGS_BYTES, parse_toml, read_text
 from shared.calibration import Calibration
 from shared.discovery import DEFAULT_PORT
 from shared.errors import ConfigError
+from shared.listening import show_address
 from shared.messages import MAX_DRIVE_TTL_MS, MAX_NAME_LENGTH
 from shared.text import is_printable
 
@@ -210,7 +211,7 @@ def _check_fleet(fleet: tuple[RobotConfig, ...]) -> None:
             raise ConfigError(f"robots: {robot.name!r} is no name; {NAME_RULE}")
     if len(fleet) > 1 and any(robot.host == "auto" for robot in fleet):
         raise ConfigError("robots: auto looks for the only robot in the network; give the HOST:PORT of each of several")
-    for what in ([robot.name for robot in fleet], [f"{robot.host}:{robot.port}" for robot in fleet]):
+    for what in ([robot.name for robot in fleet], [show_address(robot.host, robot.port) for robot in fleet]):
         if (twice := next((one for one in what if what.count(one) > 1), None)) is not None:
             raise ConfigError(f"robots: {twice} is given twice; give each robot its own name and address")
 
