@@ -139,3 +139,21 @@ def test_a_robot_is_forgotten_by_its_whole_certificate_and_none_by_nothing(robot
 
 def _raw(**changes: str) -> dict[str, object]:
     return msgspec.to_builtins(robot("Anna", "10.77.0.11", ANNA)) | changes
+
+
+def test_forgetting_a_robot_leaves_nothing_of_it_and_says_how_its_token_ends(
+    robots: PairedRobots, tmp_path: Path
+) -> None:
+    anna, berta = robot("Anna", "10.77.0.11", ANNA), robot("Berta", "10.77.0.12", BERTA)
+    robots.store(anna)
+    robots.store(berta)
+    shown = CliRunner().invoke(app, ["robots", "--data", str(tmp_path), "--forget", "Anna"])
+    token = Token.parse(anna.token)
+    assert shown.exit_code == 0 and token is not None
+    assert f"`robot-server access revoke {token.id}`" in shown.stderr and "Anna" not in shown.stdout
+    files = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert robots.path in files and robots.path.stat().st_mode & 0o077 == 0
+    content = b"".join(path.read_bytes() for path in files) + shown.output.encode()
+    assert berta.token.encode() in content
+    for left in (anna.token, anna.fingerprint):
+        assert left.encode() not in content
