@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import socket
 import ssl
 import time
@@ -10,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import get_args
 
-from robot.config import RobotConfig
+from robot.config import AccessConfig, RobotConfig
 from robot.pairing import CODE_LIFE_S, PairingDesk
 from shared.access import GuessLimit, Role
 from shared.advice import complete, option
@@ -83,6 +84,18 @@ def default_folder() -> Path:
     return Path.home() / ".local" / "state" / "sentinel" / "robot-access"
 
 
+def settings_folder(access: AccessConfig) -> Path:
+    """Where the settings have key and book. Raises ConfigError as check_folder does."""
+    return check_folder(Path(access.folder).expanduser() if access.folder else default_folder(), "access.folder")
+
+
+def check_folder(folder: Path, setting: str) -> Path:
+    """The folder, which need not be there yet. Raises ConfigError, naming the setting: something else has its name."""
+    if os.path.exists(folder) and not os.path.isdir(folder):  # Path.exists raises where a folder above is closed to us
+        raise ConfigError(f"{setting} {folder} is no folder; name one, `robot-server access init` makes it")
+    return folder
+
+
 class Gate:
     """Key, certificate, book and pairing desk of a robot with access control."""
 
@@ -134,7 +147,7 @@ def open_gate(config: RobotConfig, bound: str = "") -> Gate | None:
         return None
     if not access.folder and is_private:
         return None
-    folder = Path(access.folder).expanduser() if access.folder else default_folder()
+    folder = settings_folder(access)
     try:
         return Gate(folder)
     except ConfigError as exc:
