@@ -86,9 +86,19 @@ class PairedRobots:
         self.path = folder / FILE_NAME
         self._allow_open = allow_open
         self._data = option("--data", data_dir)
+        self.damage = ""  # why the file could not be used when it was read last, in a sentence
 
     def all(self) -> tuple[PairedRobot, ...]:
-        """Raises ConfigError: the file cannot be used."""
+        """Raises ConfigError: the file cannot be used, and then it is never written either."""
+        try:
+            robots = self._read()
+        except ConfigError as exc:
+            self.damage = str(exc)
+            raise
+        self.damage = ""
+        return robots
+
+    def _read(self) -> tuple[PairedRobot, ...]:
         content = read_private(self.path)
         if content is None:
             return ()

@@ -157,3 +157,23 @@ def test_forgetting_a_robot_leaves_nothing_of_it_and_says_how_its_token_ends(
     assert berta.token.encode() in content
     for left in (anna.token, anna.fingerprint):
         assert left.encode() not in content
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", 100_000 * b"[", b'{"version": 2}'])
+def test_a_file_that_cannot_be_read_is_told_and_never_replaced(
+    robots: PairedRobots, tmp_path: Path, content: bytes
+) -> None:
+    anna = robot("Anna", "10.77.0.11", ANNA)
+    robots.store(anna)
+    whole = robots.path.read_bytes()
+    assert robots.damage == ""
+    write_private(robots.path, content)
+    for use in (robots.all, robots.check_writable, lambda: robots.store(anna), lambda: robots.forget("Anna")):
+        with pytest.raises(ConfigError, match="is damaged"):
+            use()
+    assert str(robots.path) in robots.damage and "is damaged" in robots.damage
+    shown = CliRunner().invoke(app, ["robots", "--data", str(tmp_path)])
+    assert isinstance(shown.exception, ConfigError) and "is damaged" in str(shown.exception)
+    assert robots.path.read_bytes() == content
+    write_private(robots.path, whole)
+    assert robots.all() == (anna,) and robots.damage == ""
