@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import socket
 import ssl
 import time
@@ -10,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import get_args
 
-from robot.config import RobotConfig
+from robot.config import AccessConfig, RobotConfig
 from robot.pairing import CODE_LIFE_S, PairingDesk
 from shared.access import GuessLimit, Role
 from shared.advice import complete, option
@@ -18,7 +19,7 @@ from shared.certificates import open_identity
 from shared.discovery import DEFAULT_PORT
 from shared.disk import remove_scratch
 from shared.errors import ConfigError, LocalProtocolError
-from shared.listening import is_loopback
+from shared.listening import is_loopback, show_address
 from shared.messages import (
     AskDatagrams,
     Drive,
@@ -83,6 +84,18 @@ def default_folder() -> Path:
     return Path.home() / ".local" / "state" / "sentinel" / "robot-access"
 
 
+def settings_folder(access: AccessConfig) -> Path:
+    """Where the settings have key and book. Raises ConfigError as check_folder does."""
+    return check_folder(Path(access.folder).expanduser() if access.folder else default_folder(), "access.folder")
+
+
+def check_folder(folder: Path, setting: str) -> Path:
+    """The folder, which need not be there yet. Raises ConfigError, naming the setting: something else has its name."""
+    if os.path.exists(folder) and not os.path.isdir(folder):  # Path.exists raises where a folder above is closed to us
+        raise ConfigError(f"{setting} {folder} is no folder; name one, `robot-server access init` makes it")
+    return folder
+
+
 class Gate:
     """Key, certificate, book and pairing desk of a robot with access control."""
 
@@ -134,7 +147,7 @@ def open_gate(config: RobotConfig, bound: str = "") -> Gate | None:
         return None
     if not access.folder and is_private:
         return None
-    folder = Path(access.folder).expanduser() if access.folder else default_folder()
+    folder = settings_folder(access)
     try:
         return Gate(folder)
     except ConfigError as exc:
@@ -152,6 +165,7 @@ def pairing_sentence(code: str, bound_to: str = "", port: int = DEFAULT_PORT) ->
     host, shown = f"{socket.gethostname() or 'ROBOT'}.local", show_code(code)
     if bound_to and is_loopback(bound_to):
         host = bound_to  # nobody reaches it by its name
-    host += "" if port == DEFAULT_PORT else f":{port}"
+    if port != DEFAULT_PORT:
+        host = show_address(host, port)
     minutes = CODE_LIFE_S / 60
     return f"pairing code {shown}, good for {minutes:.0f} minutes; on the PC: station pair {host} --code {shown}"

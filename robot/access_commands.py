@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from robot.access import Gate, default_folder, pairing_sentence
+from robot.access import Gate, check_folder, pairing_sentence, settings_folder
 from robot.config import load_config
 from robot.pairing import CODE_LIFE_S
 from shared.access import Role
@@ -83,6 +83,5 @@ def revoke(
 
 def _folder(folder: Path | None, config: Path | None) -> Path:
     if folder is not None:
-        return folder.expanduser()
-    named = load_config(config, {}).access.folder
-    return Path(named).expanduser() if named else default_folder()
+        return check_folder(folder.expanduser(), "--folder")
+    return settings_folder(load_config(config, {}).access)

@@ -26,7 +26,7 @@ from robot.systemd import Systemd
 from shared.advice import install
 from shared.ending import ending_signals
 from shared.errors import ConfigError, DeviceUnavailable
-from shared.listening import bind
+from shared.listening import bind, show_address
 from shared.long_lived import keep_for_good
 
 logger = logging.getLogger(__name__)
@@ -58,7 +58,7 @@ def run(kind: DeviceKind, config: RobotConfig) -> None:
         announcement = None
         if may_be_announced(host):
             announcement = Announcement(server.hello().robot_id, port, functools.partial(announced_addresses, host))
-        print(f"robot-server: {kind} devices on {host}:{port}", flush=True)
+        print(f"robot-server: {kind} devices on {show_address(host, port)}", flush=True)
         if gate is not None and gate.is_unpaired:
             code = gate.desk.first_code(gate.now_s())
             print(f"robot-server: no station is paired yet; {pairing_sentence(code, host, port)}", flush=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import datetime
 import hashlib
 import ipaddress
+import re
 import ssl
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -25,6 +26,23 @@ CERTIFICATE_NAME = "certificate.pem"
 HANDSHAKE_WITHIN_S = 3.0  # as long as a stranger may take to join
 
 
+# By OpenSSL's names.
+_TOO_WEAK = "a certificate of the chain above it is too weak"
+_UNUSABLE = {
+    "EE_KEY_TOO_SMALL": "its key is too short, RSA needs 2048 bits",
+    "CA_KEY_TOO_SMALL": _TOO_WEAK,
+    "CA_MD_TOO_WEAK": _TOO_WEAK,
+    "KEY_VALUES_MISMATCH": "the key belongs to another certificate",
+    "KEY_TYPE_MISMATCH": "the key belongs to another certificate",
+    "NO_CERTIFICATE_ASSIGNED": "the key belongs to another certificate",  # one of another kind
+}
+_PEM = re.compile(r"-----BEGIN CERTIFICATE-----.*?-----END CERTIFICATE-----", re.DOTALL)
+
+
+class _HasPassword(Exception):
+    """Of a key."""
+
+
 @dataclass(frozen=True, slots=True)
 class Identity:
     """Key and certificate of one program."""
@@ -37,7 +55,7 @@ class Identity:
         """TLS 1.3 for the robot link."""
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         context.minimum_version = ssl.TLSVersion.TLSv1_3
-        context.load_cert_chain(self.certificate, self.key)
+        context.load_cert_chain(self.certificate, self.key, _refuse_password)
         return context
 
 
@@ -46,12 +64,29 @@ def open_identity(folder: Path) -> Identity:
     key, certificate = folder / KEY_NAME, folder / CERTIFICATE_NAME
     if read_private(key) is None or not certificate.is_file():
         raise ConfigError(f"{folder} holds no key and certificate; make them with `access init`")
+    remedy = "put a certificate and its key there, or run `access init --renew`"
     try:
-        identity = Identity(key, certificate, fingerprint_of_pem(certificate.read_text("ascii")))
-        identity.server_context()
+        der = first_certificate(certificate.read_text("ascii", errors="replace"))
+        ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_verify_locations(cadata=der)  # parses it
     except (OSError, ValueError) as exc:  # ssl.SSLError is an OSError
-        raise ConfigError(f"{certificate} or {key} cannot be used ({exc}); run `access init --renew`") from exc
+        raise ConfigError(f"{certificate} holds no certificate (PEM) that can be read; {remedy}") from exc
+    identity = Identity(key, certificate, fingerprint_of_der(der))
+    try:
+        identity.server_context()
+    except _HasPassword as exc:
+        raise ConfigError(
+            f"{key} cannot be used: the key has a password, for which nobody can be asked; {remedy}"
+        ) from exc
+    except OSError as exc:
+        reason = getattr(exc, "reason", None) or ""
+        why = _UNUSABLE.get(reason, f"{KEY_NAME} holds no key (PEM) that can be read")
+        raise ConfigError(f"{certificate} and {key} cannot be used: {why}; {remedy}") from exc
     return identity
+
+
+def _refuse_password() -> str:
+    """In place of OpenSSL's own way, which would ask at the terminal and wait."""
+    raise _HasPassword
 
 
 def make_identity(folder: Path, common_name: str, names: Iterable[str], days: int, now: datetime.datetime) -> Identity:
@@ -112,9 +147,12 @@ def days_left(identity: Identity, now: datetime.datetime) -> float:
     return (certificate.not_valid_after_utc - now).total_seconds() / 86_400
 
 
-def fingerprint_of_pem(pem: str) -> bytes:
-    """SHA-256 of the certificate. Raises ValueError."""
-    return fingerprint_of_der(ssl.PEM_cert_to_DER_cert(pem))
+def first_certificate(text: str) -> bytes:
+    """The first one (DER) of a file: those that vouch for it may follow, and words stand before. Raises ValueError."""
+    found = _PEM.search(text)
+    if found is None:
+        raise ValueError("no certificate in PEM form")
+    return ssl.PEM_cert_to_DER_cert(found[0])
 
 
 def fingerprint_of_der(der: bytes) -> bytes:

@@ -199,16 +199,16 @@ def quat_from_rotation(R: FloatArray) -> FloatArray:
 
 def pose(t: FloatArray, q_wxyz: FloatArray) -> FloatArray:
     """A pose (4, 4) out of a file: position (3,) and quaternion (4,). Raises ValueError where they are none."""
-    if (
-        not (np.abs(t) < MAX_POSITION).all() or not abs(np.linalg.norm(q_wxyz) - 1.0) < MAX_QUAT_ERROR
-    ):  # NaN fails as well
+    off = abs(np.linalg.norm(np.clip(q_wxyz, -2.0, 2.0)) - 1.0)  # 1e308 would overflow, and is as wrong as 2
+    if not (np.abs(t) < MAX_POSITION).all() or not off < MAX_QUAT_ERROR:  # NaN fails as well
         raise ValueError(f"position {t.tolist()} with quaternion {q_wxyz.tolist()} (w x y z) is no pose")
     return se3(rotation_from_quat(q_wxyz), t)
 
 
 def poses(t: FloatArray, q_wxyz: FloatArray) -> FloatArray:
     """Poses (N, 4, 4) out of a file, to the last bit those of `pose`: positions (N, 3), quaternions (N, 4)."""
-    fits = (np.abs(t) < MAX_POSITION).all(axis=1) & (np.abs(_lengths(q_wxyz)[:, 0] - 1.0) < MAX_QUAT_ERROR)
+    lengths = _lengths(np.clip(q_wxyz, -2.0, 2.0))[:, 0]  # as in `pose`
+    fits = (np.abs(t) < MAX_POSITION).all(axis=1) & (np.abs(lengths - 1.0) < MAX_QUAT_ERROR)
     if not fits.all():
         first = int(np.argmin(fits))
         pose(t[first], q_wxyz[first])  # says what is wrong

@@ -30,11 +30,16 @@ def bind(host: str, port: int) -> socket.socket:
     except OSError as exc:
         listener.close()
         raise ConfigError(
-            f"cannot listen on {host}:{port} ({exc.strerror});"
+            f"cannot listen on {show_address(host, port)} ({exc.strerror});"
             " stop the program that uses the port or choose another with --port"
         ) from exc
     listener.setblocking(False)
     return listener
+
+
+def show_address(host: str, port: int) -> str:
+    """HOST:PORT, and [HOST]:PORT of an IPv6 address: as addresses and `station.config.parse_address` are read."""
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
 def is_loopback(host: str) -> bool:

@@ -16,9 +16,12 @@ def show_tokens(book: TokenBook, as_json: bool) -> None:
     if as_json:
         print(json.dumps([describe(token) for token in tokens]))
         return
+    now_s = time.time()
     for token in tokens:
         used = "never" if token.last_used_s is None else _date(token.last_used_s)
         state = "" if token.revoked_s is None else f"  revoked {_date(token.revoked_s)}"
+        if token.expires_s is not None and token.revoked_s is None:
+            state += f"  {'ends' if now_s < token.expires_s else 'ended'} {_date(token.expires_s)}"
         if token.confirm_by_s is not None:
             state += f"  ends {_date(token.confirm_by_s)} unless its station uses it"
         print(f"{token.id}  {token.role.value:5}  {token.name}  made {_date(token.created_s)}  used {used}{state}")
@@ -43,6 +46,7 @@ def describe(token: TokenRecord) -> dict[str, str | float | None]:
         "role": token.role.value,
         "created": token.created_s,
         "last_used": token.last_used_s,
+        "expires": token.expires_s,
         "revoked": token.revoked_s,
     }
 

@@ -17,6 +17,7 @@ from shared.bounded import MAX_SETTINGS_BYTES, parse_toml, read_text
 from shared.calibration import Calibration
 from shared.discovery import DEFAULT_PORT
 from shared.errors import ConfigError
+from shared.listening import show_address
 from shared.messages import MAX_DRIVE_TTL_MS, MAX_NAME_LENGTH
 from shared.text import is_printable
 
@@ -194,11 +195,6 @@ def parse_address(text: str, option: str) -> tuple[str, int]:
     raise ConfigError(f"{option} {text!r} is no HOST:PORT, for example 192.168.1.20:{DEFAULT_PORT}")
 
 
-def show_address(host: str, port: int) -> str:
-    """As `parse_address` reads it."""
-    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-
-
 def _is_v6(text: str) -> bool:
     try:
         ipaddress.IPv6Address(text)
@@ -215,7 +211,7 @@ def _check_fleet(fleet: tuple[RobotConfig, ...]) -> None:
             raise ConfigError(f"robots: {robot.name!r} is no name; {NAME_RULE}")
     if len(fleet) > 1 and any(robot.host == "auto" for robot in fleet):
         raise ConfigError("robots: auto looks for the only robot in the network; give the HOST:PORT of each of several")
-    for what in ([robot.name for robot in fleet], [f"{robot.host}:{robot.port}" for robot in fleet]):
+    for what in ([robot.name for robot in fleet], [show_address(robot.host, robot.port) for robot in fleet]):
         if (twice := next((one for one in what if what.count(one) > 1), None)) is not None:
             raise ConfigError(f"robots: {twice} is given twice; give each robot its own name and address")
 

@@ -14,10 +14,9 @@ from typing import Any, cast
 from shared.access import Token
 from shared.certificates import HANDSHAKE_WITHIN_S, fingerprint_of_der, pinning_context
 from shared.errors import ConfigError, RobotSystemError
-from shared.listening import is_loopback
+from shared.listening import is_loopback, show_address
 from shared.prompt_sending import UNSENT_COMMAND_BYTES, send_promptly
 from station.access.paired_robots import PairedRobots
-from station.config import show_address
 
 logger = logging.getLogger(__name__)
 

@@ -13,10 +13,10 @@ from shared.access import Token
 from shared.advice import option
 from shared.certificates import show_fingerprint
 from shared.errors import ConfigError
-from shared.listening import is_loopback
+from shared.listening import is_loopback, show_address
 from shared.private_files import locked, make_private_folder, read_private, write_private
 from shared.text import explain, printable
-from station.config import parse_address, show_address
+from station.config import parse_address
 
 logger = logging.getLogger(__name__)
 FILE_NAME = "robots.json"
@@ -86,9 +86,19 @@ class PairedRobots:
         self.path = folder / FILE_NAME
         self._allow_open = allow_open
         self._data = option("--data", data_dir)
+        self.damage = ""  # why the file could not be used when it was read last, in a sentence
 
     def all(self) -> tuple[PairedRobot, ...]:
-        """Raises ConfigError: the file cannot be used."""
+        """Raises ConfigError: the file cannot be used, and then it is never written either."""
+        try:
+            robots = self._read()
+        except ConfigError as exc:
+            self.damage = str(exc)
+            raise
+        self.damage = ""
+        return robots
+
+    def _read(self) -> tuple[PairedRobot, ...]:
         content = read_private(self.path)
         if content is None:
             return ()

@@ -8,6 +8,7 @@ import time
 
 from shared.access import Token, prove
 from shared.errors import ConfigError, RemoteProtocolError, RobotSystemError
+from shared.listening import show_address
 from shared.messages import (
     PROTOCOL_VERSION,
     ErrorNotice,
@@ -25,7 +26,6 @@ from shared.session import Session
 from shared.token_book import CONFIRM_WITHIN_S
 from station.access.connecting import READ_BYTES, Connection, ConnectionRefused, connect_by_tls
 from station.access.paired_robots import PairedRobot
-from station.config import show_address
 
 PAIR_WITHIN_S = 15.0  # a Pi computes for some tenths of a second
 

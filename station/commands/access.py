@@ -14,10 +14,11 @@ from typing import Annotated, Literal
 
 import typer
 
-from shared.access import Role
+from shared.access import Role, Token
 from shared.advice import complete, option
 from shared.certificates import CERTIFICATE_NAME, make_identity, open_identity, show_fingerprint
 from shared.errors import ConfigError
+from shared.listening import show_address
 from shared.pairing import parse_code
 from shared.token_book import TokenBook, TokenRecord
 from shared.token_lines import revoke_token, show_tokens
@@ -27,7 +28,7 @@ from station.access.pairing import confirm
 from station.access.pairing import pair as pair_with
 from station.access.visitors import LINK_S, access_folder
 from station.commands.options import Config, Data, Json
-from station.config import DEFAULT_DATA_DIR, load_config, parse_address, show_address
+from station.config import DEFAULT_DATA_DIR, load_config, parse_address
 
 CERTIFICATE_DAYS = 820  # some browsers take no longer one
 FIRST = "owner"
@@ -158,7 +159,7 @@ def robots(
     """The robots this station is paired with."""
     paired = _robots(data, config)
     if forget is not None:
-        paired.forget(forget)
+        print(_forgotten(paired.forget(forget)), file=sys.stderr)
     known = [(r.name, r.host, r.port, r.fingerprint) for r in paired.all()]
     if as_json:
         print(json.dumps([dict(zip(("name", "host", "port", "fingerprint"), r, strict=True)) for r in known]))
@@ -168,6 +169,16 @@ def robots(
         print(f"{name}  {address}  certificate {show_fingerprint(bytes.fromhex(fingerprint))}")
     if not known:
         print("none")
+
+
+def _forgotten(robot: PairedRobot) -> str:
+    """What became of a robot's token: here it is gone, and the robot is not asked, which may be off or elsewhere."""
+    who = f"{robot.name} (certificate {robot.short_certificate})"
+    token = Token.parse(robot.token)
+    said = f"{who} is forgotten: its certificate and this station's token for it are gone from here"
+    if token is None:
+        return f"{said}; `robot-server access list` on the robot shows what still counts there"
+    return f"{said}; on the robot that token counts until somebody runs `robot-server access revoke {token.id}` there"
 
 
 def _lost_its_address(other: PairedRobot, paired: PairedRobot) -> str:

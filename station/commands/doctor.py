@@ -17,7 +17,7 @@ import typer
 
 from shared.advice import install, python
 from shared.errors import RobotSystemError
-from shared.listening import bind
+from shared.listening import bind, show_address
 from station.config import DEFAULT_DATA_DIR, ApiConfig
 from station.files.navigation_folder import REPORT
 from station.model.calibration_fit import FITS, UNKNOWN, FitVerdict
@@ -103,7 +103,7 @@ def free_port(host: str, port: int) -> Finding:
         bind(host, port).close()
     except RobotSystemError as exc:
         return Finding("port", False, str(exc))
-    return Finding("port", True, f"{host}:{port} is free for the page")
+    return Finding("port", True, f"{show_address(host, port)} is free for the page")
 
 
 def disk(data: Path) -> Finding:

@@ -165,6 +165,9 @@ def repair_maps(
 
     found: list[str] = []
     address = store_address(data, config)
+    for folder in copies or []:
+        if not folder.is_dir():
+            raise DataError(f"{folder} is no folder; name one that may hold copies of damaged files")
     folders = [folder for folder in (address.root.parent / "navigations", *(copies or [])) if folder.is_dir()]
     store = existing_store(data, config, found)
     with working("repairing"):

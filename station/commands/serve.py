@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from shared.certificates import show_fingerprint
-from shared.listening import bind
+from shared.listening import bind, show_address
 from shared.long_lived import keep_for_good
 from shared.repetition import start_logging
 from station.commands.options import overridden
@@ -84,7 +84,7 @@ def serve(
         station = Station(settings)
         identity = station.access.identity
         scheme = "http" if identity is None else "https"
-        address = f"{scheme}://{f'[{name}]' if ':' in name else name}:{number}"
+        address = f"{scheme}://{show_address(name, number)}"
 
         def started() -> None:
             keep_for_good()

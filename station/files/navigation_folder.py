@@ -173,6 +173,8 @@ def parse_tum(text: str, path: Path) -> Trajectory:
             poses.append(pose(np.array([x, y, z]), np.array([qw, qx, qy, qz])))
         except ValueError as exc:
             raise DataError(f"{path} line {line_number} is not `t x y z qx qy qz qw`; make the file again") from exc
+        if len(times) > 1 and times[-1] < times[-2]:
+            raise DataError(f"{path} line {line_number} is earlier than the line before; sort the file by time")
     return Trajectory(np.array(times, dtype=np.int64), np.array(poses).reshape(-1, 4, 4))
 
 

@@ -55,6 +55,7 @@ VERSIONS = Table(
     Column("seal", String(64), nullable=False),  # of the columns above
     Column("author", String(200), nullable=False, server_default=""),  # the station that wrote it
 )
+_OURS = {"map_id", "number", "seal"}  # the columns of VERSIONS by which it is known
 
 
 class IndexDamaged(DataError):
@@ -133,12 +134,15 @@ class Database:
         return was_empty
 
     def refuse_foreign(self) -> None:
-        """Raises DataError: the file that the settings name is another program's, and stays as it is.
+        """Raises DataError: the database that the settings name is another program's, and stays as it is.
 
         In the store's own folder a file of that name is ours, whatever became of it, and so is one with our stamp. One
-        without was made before there were stamps: then it has our table.
+        without was made before there were stamps: then it has our table, as one of PostgreSQL that is ours.
         """
-        if self.path is None or not self._is_named or not self.exists:
+        if self.path is None:
+            self._refuse_foreign_tables()
+            return
+        if not self._is_named or not self.exists:
             return
         with self._in_words(), self.path.open("rb") as file:
             head = file.read(SQLITE_HEAD_BYTES)
@@ -155,11 +159,24 @@ class Database:
             except sqlite3.DatabaseError as exc:
                 why = f"is damaged ({exc}), and may be another program's"
             else:
-                if columns >= {"map_id", "number", "seal"} or not others:
+                if columns >= _OURS or not others:
                     return
                 why = f"is another program's database (it has {shown(others[0])})"
         remedy = "name another file in store.database, or move this one away where it was one: the records make it anew"
         raise DataError(f"{self.place} {why}; {remedy}")
+
+    def _refuse_foreign_tables(self) -> None:
+        """PostgreSQL: in the schema that ours would be put into. Who was put beside ours later does not matter."""
+        with self.reading() as connection:
+            found = inspect(connection)
+            names = sorted((*found.get_table_names(), *found.get_view_names()))
+            columns = found.get_columns(VERSIONS.name) if VERSIONS.name in names else []
+        if not names or {column["name"] for column in columns} >= _OURS:
+            return
+        raise DataError(
+            f"{self.place} is another program's database (it has {shown(names[0])}); name another one in"
+            " store.database, empty, such as `createdb` makes"
+        )
 
     def _refuse_programs(self, connection: Connection) -> None:
         """A view in a table's place, or a trigger: a file from elsewhere could compute without end."""
@@ -171,9 +188,7 @@ class Database:
         """A revision this program does not know: of a newer one, whose tables differ, or a wrong bit."""
         with self.reading() as connection:
             if not inspect(connection).has_table(VERSIONS.name):
-                if self.is_sqlite:
-                    raise IndexDamaged(f"{self.place} is damaged (it has no table {VERSIONS.name!r})")
-                raise DataError(f"{self.place} is another program's (migration {revision!r}); give one of its own")
+                raise IndexDamaged(f"{self.place} is damaged (it has no table {VERSIONS.name!r})")
             columns = {column["name"] for column in inspect(connection).get_columns(VERSIONS.name)}
         if columns == set(VERSIONS.c.keys()):
             raise IndexDamaged(f"{self.place} is damaged (it says it is at migration {revision!r})")

@@ -30,7 +30,7 @@ def open_contents(contents: Contents, root: Path, *, is_copy: bool = False) -> N
     """Make a store in the folder `root` usable; maps of the old format that cannot be read are in its `not_imported`.
 
     Raises Unwritable where that needs a write and there can be none; in a copy of the index it can be done then.
-    Raises DataError where the settings name another program's file.
+    Raises DataError where the settings name another program's database.
     """
     contents.database.refuse_foreign()
     try:

@@ -14,6 +14,7 @@ import msgspec
 
 from shared.access import prove
 from shared.errors import ConfigError, RemoteProtocolError
+from shared.listening import show_address
 from shared.messages import (
     PROTOCOL_VERSION,
     CalibrationChanged,
@@ -46,7 +47,6 @@ from station.access.connecting import (
     until_forgotten,
 )
 from station.access.paired_robots import PairedRobots
-from station.config import show_address
 from station.robots.datagrams import PictureDatagrams
 from station.robots.link_clock import LinkClock
 from station.robots.link_commands import DueMessages, LinkCommands

@@ -116,6 +116,7 @@ class RobotSession(IgnoringListener):
         self.ahead = AheadWatch(events)
         parts = (self.current_navigation, self.current_place, self.guided_calibration, self.ahead)
         listeners = CheckedPictures(self._refuse_picture, *parts, self)
+        self._paired = shared.paired
         self.link = RobotLink(robot.host, robot.port, listeners, station_name=config.name, robots=shared.paired)
         self.link.on_refused = lambda reason: self._warn("link", f"no robot is connected: {reason}")
         self.link.commands.must_stand = lambda: self.must_stand != ""
@@ -151,6 +152,16 @@ class RobotSession(IgnoringListener):
     @property
     def state(self) -> LinkState:
         return self.link.state
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """What is wrong, in sentences: in the robot as it says, and with the file that says which robots are paired.
+
+        A robot that is connected stays so while that file is damaged, but is not met again after the connection ends.
+        """
+        status = self.link.state.status
+        damage = (self._paired.damage,) if self._paired.damage else ()
+        return (*damage, *(status.faults if status else ()))
 
     # What a person asks
 

@@ -282,6 +282,23 @@ async def test_why_a_robot_is_refused_is_told_in_the_log_and_to_who_would_drive(
             await wait_for(desk, "/log", lambda log: why in [line["text"] for line in log])
 
 
+async def test_a_file_of_robots_that_becomes_damaged_while_one_is_connected_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connecting, "LOOK_EVERY_S", 0.02)
+    async with guarded_robot(tmp_path / "robot") as bench:
+        robots = PairedRobots(access_folder(tmp_path / "station"))
+        bench.admit("desk", Role.DRIVE, robots)
+        async with running_station(bench.port, tmp_path / "station") as desk:
+            await wait_for(desk, "/robot", lambda robot: robot["connected"])
+            whole = robots.path.read_bytes()
+            robots.path.write_bytes(b"damaged")
+            told = await wait_for(desk, "/robot", lambda robot: any("is damaged" in said for said in robot["faults"]))
+            assert told["connected"] and str(robots.path) in told["faults"][0]
+            robots.path.write_bytes(whole)
+            await wait_for(desk, "/robot", lambda robot: not robot["faults"])
+
+
 def test_beyond_loopback_robots_are_met_by_tls_only(tmp_path: Path) -> None:
     robots = PairedRobots(tmp_path)
     assert robots.needs_tls("sentinel.local", 7400, "192.168.1.20")

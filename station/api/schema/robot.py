@@ -120,7 +120,7 @@ class RobotModel(Model):
     applied: AppliedModel | None
     ahead: AheadModel | None = Field(description="null: the robot has no depth sensor, or none is connected")
     head_must_rest: str = Field(description="why the camera head must look straight ahead; empty: it may turn")
-    faults: list[str]
+    faults: list[str] = Field(description="what is wrong in the robot, or with the station's file of paired robots")
 
 
 class DriveOrder(Question):
@@ -216,5 +216,5 @@ def robot_model(robot: RobotSession) -> RobotModel:
         applied=AppliedModel.of(applied) if applied and state.connected else None,
         ahead=_ahead_model(robot.ahead) if robot.ahead.has_sensor else None,
         head_must_rest=robot.head_must_rest,
-        faults=list(status.faults) if status else [],
+        faults=list(robot.faults),
     )

@@ -20,7 +20,7 @@ def test_all_at_once_are_those_of_one_after_the_other_to_the_last_bit() -> None:
     assert (poses(rows[:, :3], rows[:, 3:]) == np.stack([pose(row[:3], row[3:]) for row in rows])).all()
 
 
-@pytest.mark.parametrize(("column", "value"), [(1, np.nan), (0, np.inf), (2, 1e308), (4, np.nan), (5, 2.0)])
+@pytest.mark.parametrize(("column", "value"), [(1, np.nan), (0, np.inf), (2, 1e308), (4, np.nan), (5, 2.0), (6, 1e308)])
 def test_the_first_that_is_none_is_named(column: int, value: float) -> None:
     rows = table()
     rows[[7, 9], column] = value

@@ -907,6 +907,7 @@ export interface RobotModel {
   ahead: AheadModel | null;
   /** why the camera head must look straight ahead; empty: it may turn */
   head_must_rest: string;
+  /** what is wrong in the robot, or with the station's file of paired robots */
   faults: string[];
 }
 

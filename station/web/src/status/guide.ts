@@ -19,11 +19,12 @@ export class Guide {
     const hasMap = library.maps.length > 0;
     const isUsed = library.maps.some((m) => m.active);
     const elsewhere = "(elsewhere: `station serve --robot HOST:PORT`, or `--robot auto` to search the network)";
+    const host = robot?.host.includes(":") ? `[${robot.host}]` : (robot?.host ?? ""); // IPv6
     const where = !robot
       ? ""
       : robot.host === "auto"
         ? "; this station looks in the whole network"
-        : `; this station looks at ${robot.host}:${robot.port} ${elsewhere}`;
+        : `; this station looks at ${host}:${robot.port} ${elsewhere}`;
     const steps: [boolean, string, string][] = [
       [
         Boolean(robot?.connected),

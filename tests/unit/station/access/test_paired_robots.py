@@ -139,3 +139,41 @@ def test_a_robot_is_forgotten_by_its_whole_certificate_and_none_by_nothing(robot
 
 def _raw(**changes: str) -> dict[str, object]:
     return msgspec.to_builtins(robot("Anna", "10.77.0.11", ANNA)) | changes
+
+
+def test_forgetting_a_robot_leaves_nothing_of_it_and_says_how_its_token_ends(
+    robots: PairedRobots, tmp_path: Path
+) -> None:
+    anna, berta = robot("Anna", "10.77.0.11", ANNA), robot("Berta", "10.77.0.12", BERTA)
+    robots.store(anna)
+    robots.store(berta)
+    shown = CliRunner().invoke(app, ["robots", "--data", str(tmp_path), "--forget", "Anna"])
+    token = Token.parse(anna.token)
+    assert shown.exit_code == 0 and token is not None
+    assert f"`robot-server access revoke {token.id}`" in shown.stderr and "Anna" not in shown.stdout
+    files = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert robots.path in files and robots.path.stat().st_mode & 0o077 == 0
+    content = b"".join(path.read_bytes() for path in files) + shown.output.encode()
+    assert berta.token.encode() in content
+    for left in (anna.token, anna.fingerprint):
+        assert left.encode() not in content
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", 100_000 * b"[", b'{"version": 2}'])
+def test_a_file_that_cannot_be_read_is_told_and_never_replaced(
+    robots: PairedRobots, tmp_path: Path, content: bytes
+) -> None:
+    anna = robot("Anna", "10.77.0.11", ANNA)
+    robots.store(anna)
+    whole = robots.path.read_bytes()
+    assert robots.damage == ""
+    write_private(robots.path, content)
+    for use in (robots.all, robots.check_writable, lambda: robots.store(anna), lambda: robots.forget("Anna")):
+        with pytest.raises(ConfigError, match="is damaged"):
+            use()
+    assert str(robots.path) in robots.damage and "is damaged" in robots.damage
+    shown = CliRunner().invoke(app, ["robots", "--data", str(tmp_path)])
+    assert isinstance(shown.exception, ConfigError) and "is damaged" in str(shown.exception)
+    assert robots.path.read_bytes() == content
+    write_private(robots.path, whole)
+    assert robots.all() == (anna,) and robots.damage == ""

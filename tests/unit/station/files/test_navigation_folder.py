@@ -174,12 +174,21 @@ def test_damaged_or_missing_file_is_named(tmp_path: Path, name: str) -> None:
         "0.1 0 0 0 0 nan 0 1",
         "0.1 0 0 0 0 0 0 0",
         "0.1 0 0 0 9 9 9 9",
+        "0.1 0 0 0 1e308 1e308 0 0",
+        "0.1 1e308 0 0 0 0 0 1",
         f"{10**20}.0 0 0 0 0 0 0 1",
+        f"-{10**10}.0 0 0 0 0 0 0 1",
     ],
 )
 def test_a_trajectory_holds_poses_only(line: str) -> None:
     with pytest.raises(DataError, match="line 2"):
         parse_tum(f"0.0 0 0 0 0 0 0 1\n{line}\n", Path("trajectory.tum"))
+
+
+def test_a_trajectory_goes_forward_in_time() -> None:
+    """Poses are looked up by bisection, which finds others where times are in no order."""
+    with pytest.raises(DataError, match="line 3 is earlier than the line before"):
+        parse_tum("0.0 0 0 0 0 0 0 1\n0.2 0 0 0 0 0 0 1\n0.1 0 0 0 0 0 0 1\n", Path("trajectory.tum"))
 
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, 7.0])

@@ -31,6 +31,7 @@ from station.model.map_store import StoreAddress
 from station.model.place_map import PlaceMap
 from station.places.making.build import carry_names
 from tests.support.depth import depth_camera, map_of, scanned, way
+from tests.support.postgres import PostgresServer
 from tests.support.store import content_hash, rename_place
 
 
@@ -352,6 +353,46 @@ def test_a_database_that_another_program_left_unfinished_is_not_touched(
     with pytest.raises(DataError, match="another program's database"):
         MapStore(StoreAddress(tmp_path / "maps", f"sqlite:///{left / 'songs'}")).save(place_map)
     assert {path.name: path.read_bytes() for path in left.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("statement", "found"),
+    [
+        ("CREATE TABLE song (title TEXT)", "'song'"),
+        ("CREATE VIEW song AS SELECT 1 AS title", "'song'"),
+        ("CREATE TABLE map_version (a INTEGER)", "'map_version'"),
+        ("CREATE TABLE alembic_version (version_num TEXT)", "'alembic_version'"),
+    ],
+)
+def test_a_postgresql_database_of_another_program_is_refused_and_stays_as_it_was(
+    place_map: PlaceMap, tmp_path: Path, postgres: PostgresServer, statement: str, found: str
+) -> None:
+    import psycopg
+
+    url = postgres.fresh_database()
+    with psycopg.connect(url) as connection:
+        connection.execute(statement)
+        if "alembic" in statement:
+            connection.execute("INSERT INTO alembic_version VALUES ('0002')")  # a number of ours, by chance
+    store = MapStore(StoreAddress(tmp_path / "maps", url))
+    for use in (store.list, lambda: store.save(place_map)):
+        with pytest.raises(DataError, match=f"another program's database .*{found}"):
+            use()
+    with psycopg.connect(url) as connection:
+        names = connection.execute("SELECT relname FROM pg_class WHERE relnamespace = 'public'::regnamespace")
+        assert [f"'{name}'" for (name,) in names] == [found]
+
+
+def test_a_postgresql_database_that_is_ours_already_is_used_whatever_was_put_beside_it(
+    place_map: PlaceMap, tmp_path: Path, postgres: PostgresServer
+) -> None:
+    import psycopg
+
+    address = StoreAddress(tmp_path / "maps", postgres.fresh_database())
+    MapStore(address).save(place_map)
+    with psycopg.connect(address.database) as connection:
+        connection.execute("CREATE TABLE song (title TEXT)")
+    assert [one.id for one in MapStore(address).list()] == [place_map.id]
 
 
 @pytest.mark.parametrize("at", [3, 100])
