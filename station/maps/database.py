@@ -18,7 +18,7 @@ from sqlalchemy.exc import DataError as NotStorable
 from sqlalchemy.pool import NullPool
 
 from shared.advice import install
-from shared.bounded import shown
+from shared.bounded import open_file, shown
 from shared.disk import lock
 from shared.errors import ConfigError, DataError
 from station.files.unwritable import Unwritable, cannot_write, why_unwritable
@@ -134,24 +134,28 @@ class Database:
         return was_empty
 
     def refuse_foreign(self) -> None:
-        """Raises DataError: the database that the settings name is another program's, and stays as it is.
+        """Raises DataError: the database is another program's, and stays as it is.
 
-        In the store's own folder a file of that name is ours, whatever became of it, and so is one with our stamp. One
-        without was made before there were stamps: then it has our table, as one of PostgreSQL that is ours.
+        With our stamp it is ours. Without, it was made before there were stamps: then it has our table, as one of
+        PostgreSQL that is ours. In the store's own folder what cannot be read is ours, too, and is made anew; elsewhere,
+        also behind a link, it may be anybody's.
         """
         if self.path is None:
             self._refuse_foreign_tables()
             return
-        if not self._is_named or not self.exists:
+        self._refuse_pipes()
+        if not self.exists:
             return
+        is_own = not self._is_named and not self.path.is_symlink()
         with self._in_words(), self.path.open("rb") as file:
             head = file.read(SQLITE_HEAD_BYTES)
         stamp = head[SQLITE_STAMP]
+        has_numbers = any(stamp) or any(head[SQLITE_USER_VERSION])
         if not _is_nearly(head[: len(SQLITE_BEGINS)], SQLITE_BEGINS):
             why = "is no SQLite database"
         elif _is_nearly(stamp, STAMP):
             return
-        elif any(stamp) or any(head[SQLITE_USER_VERSION]) or head[SQLITE_WRITES_AT:].startswith(SQLITE_WRITES_AHEAD):
+        elif not is_own and (has_numbers or head[SQLITE_WRITES_AT:].startswith(SQLITE_WRITES_AHEAD)):
             why = "is another program's database (its header has that program's numbers)"
         else:
             try:
@@ -161,9 +165,20 @@ class Database:
             else:
                 if columns >= _OURS or not others:
                     return
+                is_own = False
                 why = f"is another program's database (it has {shown(others[0])})"
+        if is_own:
+            return
         remedy = "name another file in store.database, or move this one away where it was one: the records make it anew"
         raise DataError(f"{self.place} {why}; {remedy}")
+
+    def _refuse_pipes(self) -> None:
+        """SQLite would wait for ever for the other end of one, also in the place of its journal."""
+        assert self.path is not None
+        for suffix in ("", "-journal", "-wal", "-shm"):
+            path = self.path.with_name(self.path.name + suffix)
+            if path.exists() and not path.is_file() and not path.is_dir():
+                raise DataError(f"{path} is no regular file, as SQLite needs; move it away")
 
     def _refuse_foreign_tables(self) -> None:
         """PostgreSQL: in the schema that ours would be put into. Who was put beside ours later does not matter."""
@@ -225,7 +240,7 @@ class Database:
         """Nobody writes meanwhile. Needs no write itself; raises DataError for a writer that does not end."""
         with self._in_words(), contextlib.ExitStack() as stack:
             with contextlib.suppress(FileNotFoundError, PermissionError):  # nobody has ever written, or it is hidden
-                if not lock(stack.enter_context((self._folder / LOCK).open("rb")), timeout_s=LOCK_WAIT_S):
+                if not lock(stack.enter_context(open_file(self._folder / LOCK)), timeout_s=LOCK_WAIT_S):
                     raise DataError(f"{self.place} cannot be used (another program writes); end that, or wait")
             yield
 
@@ -345,6 +360,8 @@ def _engine(url: URL) -> Engine:
 def _locked(folder: Path, *, shared: bool) -> Iterator[None]:
     """A lock between processes of this machine."""
     folder.mkdir(parents=True, exist_ok=True)
-    with (folder / LOCK).open("ab") as file:
+    path = folder / LOCK
+    path.touch()
+    with open_file(path, for_writing=True) as file:
         lock(file, shared=shared)
         yield

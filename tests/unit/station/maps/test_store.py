@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import shutil
 import sqlite3
 from dataclasses import replace
@@ -353,6 +354,52 @@ def test_a_database_that_another_program_left_unfinished_is_not_touched(
     with pytest.raises(DataError, match="another program's database"):
         MapStore(StoreAddress(tmp_path / "maps", f"sqlite:///{left / 'songs'}")).save(place_map)
     assert {path.name: path.read_bytes() for path in left.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    "tables",
+    [
+        "CREATE TABLE song (title TEXT)",
+        "CREATE TABLE song (title TEXT); PRAGMA application_id = 1234567",
+        "CREATE TABLE map_version (a, b)",
+        "CREATE TABLE alembic_version (version_num TEXT); INSERT INTO alembic_version VALUES ('9')",
+    ],
+)
+@pytest.mark.parametrize("is_link", [False, True])
+def test_another_programs_database_in_the_stores_own_folder_is_refused_too(
+    tmp_path: Path, tables: str, is_link: bool
+) -> None:
+    """A folder of data that somebody else gave may hold one, or a link to one of this machine."""
+    own = tmp_path / "maps" / "maps.db"
+    own.parent.mkdir()
+    theirs = tmp_path / "theirs" if is_link else own
+    with contextlib.closing(sqlite3.connect(theirs)) as connection:
+        connection.executescript(tables)
+    if is_link:
+        own.symlink_to(theirs)
+    before = theirs.read_bytes()
+    with pytest.raises(DataError, match="is another program's database"):
+        MapStore(tmp_path / "maps").list()
+    assert theirs.read_bytes() == before
+
+
+def test_behind_a_link_in_the_stores_folder_nothing_is_set_aside(tmp_path: Path) -> None:
+    theirs = tmp_path / "theirs"
+    theirs.write_text("root:x:0:0:root:/root:/bin/sh\n")
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / "maps.db").symlink_to(theirs)
+    with pytest.raises(DataError, match="no SQLite database"):
+        MapStore(tmp_path / "maps").list()
+    assert theirs.read_text().startswith("root:") and (tmp_path / "maps" / "maps.db").is_symlink()
+
+
+@pytest.mark.parametrize("name", ["maps.db", "maps.db-journal", "maps.db-wal", "maps.db-shm", ".lock"])
+def test_a_pipe_in_the_stores_folder_is_not_waited_for(place_map: PlaceMap, tmp_path: Path, name: str) -> None:
+    MapStore(tmp_path).save(place_map)
+    (tmp_path / name).unlink(missing_ok=True)
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(DataError, match=f"{re.escape(str(tmp_path))}.*(regular file|pipe)"):
+        MapStore(tmp_path).save(place_map)
 
 
 @pytest.mark.parametrize(
