@@ -137,8 +137,8 @@ class Database:
         """Raises DataError: the database is another program's, and stays as it is.
 
         With our stamp it is ours. Without, it was made before there were stamps: then it has our table, as one of
-        PostgreSQL that is ours. In the store's own folder what cannot be read is ours, too, and is made anew; elsewhere,
-        also behind a link, it may be anybody's.
+        PostgreSQL that is ours. In the store's own folder what cannot be read is ours, too, and is made anew;
+        elsewhere, also behind a link, it may be anybody's.
         """
         if self.path is None:
             self._refuse_foreign_tables()
