@@ -79,10 +79,10 @@ def v102_drive(scratch: Path, seed: int) -> Path:
     return out
 
 
-def flat_drive(scratch: Path, seed: int) -> Path:
+def flat_drive(scratch: Path, seed: int, world: str = "home") -> Path:
     """The 90 s tour of a flat."""
     return render(
-        scratch / f"home{seed}-tour", seed, "home", "--route", "tour", "--drive-seed", str(seed),
+        scratch / f"{world}{seed}-tour", seed, world, "--route", "tour", "--drive-seed", str(seed),
         "--max-duration", str(FLAT_S),
     )  # fmt: skip
 

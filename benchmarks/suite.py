@@ -77,6 +77,8 @@ SUITE = (
         "smoothing_v102", SLAM, "bench_smoothing", "--v102 0-19 --backend smoothing", None,
         data=f"{DATA}/euroc_v1_02_imu",
     ),
+    Benchmark("smoothing_flats", SLAM, "bench_smoothing", "--flats 0-19 --backend smoothing", None),
+    Benchmark("smoothing_plain", SLAM, "bench_smoothing", "--plain 0-19 --backend smoothing", None),
     Benchmark(
         "slam_speed", SLAM, "slam_studies", "speed", None, has_own_target=True, data=f"{DATA}/euroc_v1_02_imu"
     ),
