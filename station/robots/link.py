@@ -7,7 +7,7 @@ import contextlib
 import logging
 import secrets
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import msgspec
@@ -54,7 +54,7 @@ from station.robots.link_events import LinkListener
 from station.robots.link_log import LinkLog
 from station.robots.link_state import MAY_BE_UNPAIRED, Arrivals, Hearing, LinkState, RateMeter
 from station.robots.network import NetworkState, OwnPauses, RecentDelays
-from station.robots.search import Find, FoundRobot, RobotSearch
+from station.robots.search import NO_ROBOT_FOUND, Find, RobotSearch, find_in_network
 
 logger = logging.getLogger(__name__)
 
@@ -63,9 +63,6 @@ REFUSED_RETRY_S = 1.5  # somebody must do something first: pair, or set up; or a
 GREETED_WITHIN_NS = 1_500_000_000  # a hello that was lost on the way must not cost more than a new connection
 TICK_S = 0.025
 AUTO = "auto"  # as host: look for a robot
-NO_ROBOT_FOUND = (
-    "no robot makes itself known in this network; start robot-server with --host 0.0.0.0 there, or give its HOST:PORT"
-)
 
 
 class RobotLink:
@@ -86,7 +83,7 @@ class RobotLink:
         robots: PairedRobots | None = None,
     ) -> None:
         """`robots`: who is paired with this station; None: robots are met without TLS wherever they are."""
-        self._search = RobotSearch(robots, find or _find_in_network) if host == AUTO else None
+        self._search = RobotSearch(robots, find or find_in_network) if host == AUTO else None
         self._host = host
         self._port = port
         self._listener = listener
@@ -486,13 +483,6 @@ def _closed_is_lost() -> Iterator[None]:
         yield
     except RuntimeError as exc:
         raise ConnectionResetError(str(exc)) from exc
-
-
-def _find_in_network(seconds: float, paired: Collection[str]) -> Collection[FoundRobot]:
-    # Imported only here: zeroconf opens sockets of its own, and who gives an address does not need it.
-    from station.robots.discovery import find_robots
-
-    return find_robots(seconds, paired)
 
 
 class _Ended(Exception):

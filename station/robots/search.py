@@ -25,6 +25,9 @@ class FoundRobot:
     port: int
 
 
+NO_ROBOT_FOUND = (
+    "no robot makes itself known in this network; start robot-server with --host 0.0.0.0 there, or give its HOST:PORT"
+)
 Find = Callable[[float, Collection[str]], Collection[FoundRobot]]  # seconds, ids of paired robots
 
 
@@ -105,3 +108,10 @@ class RobotSearch:
             return () if self._robots is None else self._robots.all()
         except ConfigError:
             return ()  # the attempt to connect says what is wrong with the file
+
+
+def find_in_network(seconds: float, paired: Collection[str]) -> Collection[FoundRobot]:
+    # Imported only here: zeroconf opens sockets of its own, and who gives an address does not need it.
+    from station.robots.discovery import find_robots
+
+    return find_robots(seconds, paired)
