@@ -52,7 +52,7 @@ from station.robots.link_clock import LinkClock
 from station.robots.link_commands import DueMessages, LinkCommands
 from station.robots.link_events import LinkListener
 from station.robots.link_log import LinkLog
-from station.robots.link_state import MAY_BE_UNPAIRED, Arrivals, Hearing, LinkState, RateMeter
+from station.robots.link_state import MAY_BE_UNPAIRED, Arrivals, Hearing, LinkState, RateMeter, RobotIdentity
 from station.robots.network import NetworkState, OwnPauses, RecentDelays
 from station.robots.search import NO_ROBOT_FOUND, Find, RobotSearch, find_in_network
 
@@ -105,6 +105,7 @@ class RobotLink:
         self._connected = False
         self._reason = "not connected yet"
         self._hello: Hello | None = None
+        self._robot: RobotIdentity | None = None  # whose hello that is
         self._clock = LinkClock()
         self._rates = RateMeter()
         self._delays = RecentDelays()
@@ -125,6 +126,7 @@ class RobotLink:
             connected=self._connected,
             quiet=self._connected and self._session.state is State.QUIET,
             hello=self._hello,
+            robot=self._robot,
             reason="" if self._connected else self._reason,
             connections=self._connections,
             network=self._network(frame_rate_hz),
@@ -436,10 +438,11 @@ class RobotLink:
         if not is_same_run:  # another count of samples, and perhaps another clock
             self._arrived.begin_run()
             self._clock = LinkClock()
-        if self._hello is not None and self._hello.robot_id != hello.robot_id:
-            self.commands.forget_stop()
-        self._hello = hello
         connection = self._connection
+        robot = RobotIdentity(hello.robot_id, b"" if connection is None else connection.fingerprint)
+        if self._robot not in (None, robot):
+            self.commands.forget_stop()
+        self._hello, self._robot = hello, robot
         if hello.challenge and connection is not None and connection.token is not None:
             proof = prove(connection.token, hello.challenge, connection.fingerprint)
             self._due.put(Prove(token_id=connection.token.id, proof=proof))

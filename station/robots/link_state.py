@@ -20,6 +20,14 @@ MAY_BE_UNPAIRED = "; if it has access control, pair with it (docs/access.md)"
 
 
 @dataclass(frozen=True, slots=True)
+class RobotIdentity:
+    """Which robot it is."""
+
+    robot_id: str  # as it says
+    fingerprint: bytes  # of its certificate, which proves it; empty: no TLS
+
+
+@dataclass(frozen=True, slots=True)
 class LinkState:
     """Snapshot of a link for the API and the page. Counts run since the link was made."""
 
@@ -28,6 +36,7 @@ class LinkState:
     connected: bool = False
     quiet: bool = False  # connected, but the robot has said nothing for a second
     hello: Hello | None = None  # of the present or the last connection
+    robot: RobotIdentity | None = None  # who said it
     reason: str = "not connected yet"  # why not connected, in a sentence
     connections: int = 0  # how often a connection was made
     network: NetworkState = NOT_CONNECTED
