@@ -217,10 +217,6 @@ class RobotLink:
             logger.info("%s: %s", self._host, exc)
             return f"{self._host} is no host name; give --robot HOST:PORT"
         writer = connection.writer
-        if self._search is not None and (refusal := self._search.refusal(connection.fingerprint)):
-            writer.transport.abort()
-            self._retry_s, self._is_refused = REFUSED_RETRY_S, True
-            return refusal
         self._connection = connection
         self._session = Session("station", self._now_ns(), join_within_ns=GREETED_WITHIN_NS)
         self._due.clear()
@@ -384,8 +380,8 @@ class RobotLink:
                 self._greet(message)
             case Welcome():
                 self._connected = True
-                if self._search is not None and self._connection is not None:
-                    self._search.accept(self._connection.fingerprint)
+                if self._search is not None and self._robot is not None:
+                    self._search.accept(self._robot)
                 self.commands.open(None if self._hello is None else self._hello.capabilities)
                 self._connections += 1
                 self._hearing.note_answer(now_ns)
@@ -434,12 +430,16 @@ class RobotLink:
         self._due.put(self._arrived.confirmation(self._now_ns()))
 
     def _greet(self, hello: Hello) -> None:
+        connection = self._connection
+        robot = RobotIdentity(hello.robot_id, b"" if connection is None else connection.fingerprint)
+        if self._search is not None and (refusal := self._search.refusal(robot)):
+            self._retry_s, self._is_refused = REFUSED_RETRY_S, True
+            self._session.close(Event.LOST, refusal)
+            return
         is_same_run = self._hello is not None and self._hello.session_id == hello.session_id
         if not is_same_run:  # another count of samples, and perhaps another clock
             self._arrived.begin_run()
             self._clock = LinkClock()
-        connection = self._connection
-        robot = RobotIdentity(hello.robot_id, b"" if connection is None else connection.fingerprint)
         if self._robot not in (None, robot):
             self.commands.forget_stop()
         self._hello, self._robot = hello, robot

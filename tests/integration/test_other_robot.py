@@ -12,13 +12,16 @@ import pytest
 
 from robot.config import IdentityConfig
 from shared.access import Role
-from shared.messages import Drive
+from shared.messages import Capabilities, Drive
 from station.access.paired_robots import PairedRobot, PairedRobots
 from station.access.visitors import access_folder
+from station.config import DriveConfig
 from station.errors import Conflict, NoRobot
 from station.robots.driving import Driving
+from station.robots.link import RobotLink
+from station.robots.search import FoundRobot
 from tests.support.access import GuardedBench, guarded_robot, make_token
-from tests.support.link import Bench, Proxy, running_robot, until
+from tests.support.link import Bench, Notes, Proxy, running_robot, until
 from tests.support.station import running_station
 
 LET_GO = "let go of the joystick once"
@@ -132,3 +135,68 @@ async def test_another_robot_without_tls_at_the_same_address_is_not_moved_by_a_h
                 anna.heard.clear()
                 await until(lambda: was_driven(anna))
         await proxy.cut()
+
+
+@asynccontextmanager
+async def looking_for(robots: PairedRobots | None, around: list[int]) -> AsyncIterator[tuple[RobotLink, Driving]]:
+    """A station that was given no address; `around` are the ports of the robots that make themselves known."""
+    link = RobotLink(
+        "auto", 0, Notes(), find=lambda *_: [FoundRobot("r", "127.0.0.1", port) for port in around], robots=robots
+    )
+
+    def able() -> Capabilities | None:
+        state = link.state
+        return state.hello.capabilities if state.connected and state.hello else None
+
+    driving = Driving(
+        link.commands,
+        DriveConfig(),
+        able,
+        lambda: link.state.robot,
+        lambda _: None,
+        lambda _: None,
+        why_alone=lambda: link.state.reason,
+    )
+    tasks = [asyncio.create_task(part) for part in (link.run(), driving.run())]
+    try:
+        await until(lambda: link.state.connected)
+        yield link, driving
+    finally:
+        assert not any(task.done() for task in tasks)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def test_where_the_robot_that_was_found_is_forgotten_no_other_one_is_met_or_moved(tmp_path: Path) -> None:
+    robots = PairedRobots(tmp_path / "station")
+    async with (
+        guarded_robot(tmp_path / "a") as anna,
+        guarded_robot(tmp_path / "b") as berta,
+        guarded_robot(tmp_path / "c") as carla,
+    ):
+        around = [anna.port]
+        pair_at(anna.port, anna, "Anna", robots)
+        pair_at(berta.port, berta, "Berta", robots)
+        async with looking_for(robots, around) as (link, driving), held(driving) as joystick:
+            await until(lambda: moves(anna))
+            around[:] = [berta.port, carla.port]
+            robots.forget("Anna")
+            await until(lambda: "Anna was found before, which is not paired any more" in joystick.refusal)
+            assert not moves(anna) and not berta.heard
+            pair_at(carla.port, carla, "Carla", robots)  # that is to say that it is meant now
+            await until(lambda: link.state.connected and LET_GO in joystick.refusal)
+            assert link.state.port == carla.port and not was_driven(carla) and not berta.heard
+            joystick.let_go()
+            await until(lambda: moves(carla))
+
+
+async def test_without_tls_another_robot_that_makes_itself_known_is_not_taken_for_the_one_that_was_found() -> None:
+    async with called("anna") as anna, called("berta") as berta:
+        around = [anna.port]
+        async with looking_for(None, around) as (link, driving), held(driving) as joystick:
+            await until(lambda: moves(anna))
+            around[:] = [berta.port]
+            await anna.stop()
+            await until(lambda: "anna was found before" in joystick.refusal)
+            assert link.state.connections == 1 and not berta.heard
