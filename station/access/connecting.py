@@ -105,15 +105,13 @@ async def connect_and_hear(
     return replace(connection, heard=heard)
 
 
-async def until_forgotten(connection: Connection, robots: PairedRobots | None) -> str:
-    """Wait until the robot at the other end is paired no longer, and say so; for ever where it need not be."""
+async def until_forgotten(fingerprint: bytes, robots: PairedRobots) -> str:
+    """Wait until the robot with this certificate is paired no longer, and say so."""
     missed, damage = 0, ""
     while missed < LOOKS:
         await asyncio.sleep(LOOK_EVERY_S)
-        if robots is None or not connection.fingerprint:
-            continue
         try:
-            missed = 0 if await asyncio.to_thread(robots.knows, connection.fingerprint) else missed + 1
+            missed = 0 if await asyncio.to_thread(robots.knows, fingerprint) else missed + 1
             damage = ""
         except ConfigError as exc:  # who was let in stays
             if str(exc) != damage:

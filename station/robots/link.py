@@ -225,16 +225,10 @@ class RobotLink:
         self._silence.clear()
         self.commands.restart_count()
         # No task group: of an end and a cancellation in the same moment it reports the end only (until Python 3.13).
-        tasks = [
-            asyncio.create_task(part)
-            for part in (
-                self._read(connection),
-                self._write(writer),
-                self._tick(),
-                self._look_for_another_way(),
-                self._end_when_forgotten(connection),
-            )
-        ]
+        parts = [self._read(connection), self._write(writer), self._tick(), self._look_for_another_way()]
+        if self._robots is not None and connection.fingerprint:
+            parts.append(self._end_when_forgotten(connection.fingerprint, self._robots))
+        tasks = [asyncio.create_task(part) for part in parts]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -340,8 +334,8 @@ class RobotLink:
                     way.writer.transport.abort()
                 await asyncio.sleep(RETRY_S)
 
-    async def _end_when_forgotten(self, connection: Connection) -> None:
-        self._session.close(Event.LOST, await until_forgotten(connection, self._robots))
+    async def _end_when_forgotten(self, fingerprint: bytes, robots: PairedRobots) -> None:
+        self._session.close(Event.LOST, await until_forgotten(fingerprint, robots))
         raise _Ended
 
     def _is_unheard(self, now_ns: int) -> bool:
