@@ -23,10 +23,10 @@ logger = logging.getLogger(__name__)
 
 READ_BYTES = 256 * 1024
 CONNECT_WITHIN_S = 1.5
-LOOK_EVERY_S = 0.5  # whether a robot is still paired
-LOOKS = (
-    2  # that do not find it, before it is left: a file may be away for a moment, while somebody puts back an older one
-)
+# Whether a robot is still paired. It is left after two looks that do not find it, since a file may be away for a moment
+# while somebody puts back an older one; within a second of its being forgotten, with a fifth of it left for the looks.
+LOOK_EVERY_S = 0.4
+LOOKS = 2
 
 
 class ConnectionRefused(RobotSystemError):

@@ -424,6 +424,26 @@ async def test_whether_it_is_still_paired_is_looked_up_for_a_robot_with_a_certif
         assert asked_for == [guarded.gate.fingerprint]
 
 
+async def test_a_robot_that_is_forgotten_right_after_a_look_is_left_within_a_second(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the pauses between the looks, which leave a fifth of the second for the looks themselves."""
+    pauses_s: list[float] = []
+    pause = asyncio.sleep
+
+    async def note(seconds: float) -> None:
+        pauses_s.append(seconds)
+        await pause(0)
+
+    robots = _CountedLooks(tmp_path)
+    robots.sees = (True, False, False)
+    with monkeypatch.context() as patched:
+        patched.setattr(asyncio, "sleep", note)
+        await connecting.until_forgotten(b"", robots)
+    assert len(pauses_s) == len(robots.sees)
+    assert sum(pauses_s[1:]) <= 0.8
+
+
 async def test_a_revocation_that_somebodys_proof_finds_out_first_counts_too(tmp_path: Path) -> None:
     """A thief who proves again and again must not keep the look at the book from seeing that it has changed."""
     robots = PairedRobots(tmp_path / "station")
