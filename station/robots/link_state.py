@@ -14,8 +14,7 @@ RATE_WINDOW_NS = 2_000_000_000
 # that takes a slow computer its time: after a silence as long as a late answer's, lateness counts anew.
 UNHEARD_AFTER_NS, UNHEARD_FOR_NS, UNHEARD_MESSAGES = 900_000_000, 250_000_000, 10
 
-
-# One that speaks TLS waits for our greeting, and we for its.
+# Behind why a robot that is met without TLS says nothing: one that speaks TLS waits for our greeting, and we for its.
 MAY_BE_UNPAIRED = "; if it has access control, pair with it (docs/access.md)"
 
 
