@@ -21,7 +21,7 @@ from station.robots.driving import Driving
 from station.robots.link import RobotLink
 from station.robots.search import FoundRobot
 from tests.support.access import GuardedBench, guarded_robot, make_token
-from tests.support.link import Bench, Notes, Proxy, running_robot, until
+from tests.support.link import Bench, Notes, Proxy, linked, running_robot, until
 from tests.support.station import running_station
 
 LET_GO = "let go of the joystick once"
@@ -200,3 +200,17 @@ async def test_without_tls_another_robot_that_makes_itself_known_is_not_taken_fo
             await anna.stop()
             await until(lambda: "anna was found before" in joystick.refusal)
             assert link.state.connections == 1 and not berta.heard
+
+
+async def test_a_stop_that_the_first_robot_has_not_confirmed_is_not_said_to_another_one() -> None:
+    async with running_robot() as anna, called("berta") as berta:
+        proxy = Proxy(anna.port)
+        await proxy.mend()
+        async with linked(proxy.port) as (link, _):
+            proxy.stall()
+            link.commands.stop(until_confirmed=True)
+            await exchange(proxy, berta)
+            proxy.flow()
+            await until(lambda: link.state.connections == 2)
+            assert not link.commands.awaits_stop and not berta.stops_heard
+        await proxy.cut()

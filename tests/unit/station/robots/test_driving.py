@@ -11,6 +11,7 @@ import pytest
 from shared.messages import MAX_DRIVE_TTL_MS, Capabilities, Drive
 from station.config import DriveConfig
 from station.errors import Conflict, NoRobot, NotDriver, OutOfRange
+from station.robots import holds
 from station.robots.driving import DriveLink, Driving
 from station.robots.link_commands import DueMessages, LinkCommands
 from station.robots.link_state import RobotIdentity
@@ -296,6 +297,25 @@ def test_who_holds_on_while_another_robot_takes_the_place_of_the_first_moves_it_
     assert fleet.link.told[-1] == (0.1, 0.0, 200)
 
 
+@pytest.mark.parametrize("lets_go", [Driving.stop, Driving.release])
+def test_stop_and_release_are_letting_go_for_another_robot_too(lets_go: Callable[[Driving, str], object]) -> None:
+    fleet = Fleet()
+    fleet.hold("joe", 500)
+    fleet.robot = BERTA
+    fleet.hold("joe", 1500, "let go of the joystick once")  # the wheel is free by then
+    lets_go(fleet.desk, "joe")
+    fleet.hold("joe", 100)
+
+
+def test_drivers_of_ever_other_names_take_no_more_room_than_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(holds, "MAX_HOLDS", 3)
+    heard = holds.Holds()
+    for n in range(5):
+        heard.hear(f"driver {n}", ANNA, 0)
+    assert [heard.hear(f"driver {n}", BERTA, 0) for n in (4, 3, 2)] == [False] * 3
+    assert heard.hear("driver 1", BERTA, 0)
+
+
 def test_the_same_robot_goes_on_after_it_was_away() -> None:
     fleet = Fleet()
     fleet.hold("joe", 500)
@@ -371,8 +391,8 @@ async def test_a_long_command_is_repeated_to_no_other_robot() -> None:
     fleet.desk.drive("program", 0.1, 0.0, 1000)
     fleet.robot = BERTA
     timer = asyncio.create_task(fleet.desk.run())
-    fleet.wait(300)
     while fleet.desk.is_moving:
+        fleet.wait(150)
         await asyncio.sleep(0.005)
     assert fleet.link.told == [(0.1, 0.0, MAX_DRIVE_TTL_MS)]
     timer.cancel()

@@ -138,6 +138,15 @@ async def test_the_robot_that_was_met_is_meant_also_when_it_is_forgotten_until_i
     assert not search.refusal(CARLA) and search.refusal(BERTA)
 
 
+async def test_who_was_paired_before_the_forgetting_does_not_come_in_its_place(tmp_path: Path) -> None:
+    robots, search = await met_anna(tmp_path)
+    robots.store(paired_robot("Carla", "c"))
+    await search.next()  # Anna was away for a while
+    robots.forget("Anna")
+    await search.next()
+    assert "Carla answers, and Anna was found before" in search.refusal(CARLA)
+
+
 @pytest.mark.parametrize("content", [b"damaged", None], ids=["damaged", "away"])
 async def test_a_file_of_robots_that_says_nothing_for_a_moment_forgets_nobody(
     tmp_path: Path, content: bytes | None
