@@ -293,12 +293,10 @@ def clock_figures(seen: Observed) -> Iterator[Figure]:
         [abs(ms) for t_s, ms in seen.offsets if (t_s < CLOCK_SETTLES_S) is is_early] for is_early in (True, False)
     )
     drifts = [abs(ppm) for ppm in seen.drifts_ppm]
-    wrong_s = [t_s for t_s, ms in seen.offsets if abs(ms) > CLOCK_MS]
     yield Figure("error of the clock offset in the first two minutes", percentile(early, 100), "ms", of=len(early))
     yield Figure("error of the clock offset after it, longest", percentile(late, 100), "ms", CLOCK_MS, of=len(late))
-    yield Figure(
-        f"error of the clock offset above {CLOCK_MS:g} ms, the last time after", max(wrong_s, default=None), "s"
-    )
+    wrong_s = judging.wrong_until_s(seen.offsets, CLOCK_MS)
+    yield Figure(f"error of the clock offset above {CLOCK_MS:g} ms, the last time after", wrong_s, "s")
     untold_ms = max(seen.untold_ms, default=0.0)
     yield Figure(
         "error of the clock offset beyond what is told", max(0.0, untold_ms), "ms", at_most=0, of=len(seen.untold_ms)

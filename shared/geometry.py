@@ -16,9 +16,8 @@ MIN_LEVEL = 0.31  # an axis whose horizontal part is shorter, 18 degrees from th
 SMALL_ANGLE_RAD = 1e-4  # below it series with terms up to angle^4 are exact to double precision
 MAX_QUAT_ERROR = 0.05  # of a length: files with two digits
 MAX_ROTATION_ERROR = 1e-3
-MAX_POSITION = (
-    1e9  # of what a file holds, metres or a map's units: a broken one has more, and what is computed overflows
-)
+# Of what a file holds, metres or a map's units: a broken one has more, and what is computed overflows.
+MAX_POSITION = 1e9
 DIAGONAL = np.arange(3)
 
 

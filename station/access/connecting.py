@@ -22,10 +22,10 @@ logger = logging.getLogger(__name__)
 
 READ_BYTES = 256 * 1024
 CONNECT_WITHIN_S = 1.5
-LOOK_EVERY_S = 0.5  # whether a robot is still paired
-LOOKS = (
-    2  # that do not find it, before it is left: a file may be away for a moment, while somebody puts back an older one
-)
+# Whether a robot is still paired. It is left after two looks that do not find it, since a file may be away for a moment
+# while somebody puts back an older one; within a second of its being forgotten, with a fifth of it left for the looks.
+LOOK_EVERY_S = 0.4
+LOOKS = 2
 
 
 class ConnectionRefused(RobotSystemError):
@@ -104,15 +104,13 @@ async def connect_and_hear(
     return replace(connection, heard=heard)
 
 
-async def until_forgotten(connection: Connection, robots: PairedRobots | None) -> str:
-    """Wait until the robot at the other end is paired no longer, and say so; for ever where it need not be."""
+async def until_forgotten(fingerprint: bytes, robots: PairedRobots) -> str:
+    """Wait until the robot with this certificate is paired no longer, and say so."""
     missed, damage = 0, ""
     while missed < LOOKS:
         await asyncio.sleep(LOOK_EVERY_S)
-        if robots is None or not connection.fingerprint:
-            continue
         try:
-            missed = 0 if await asyncio.to_thread(robots.knows, connection.fingerprint) else missed + 1
+            missed = 0 if await asyncio.to_thread(robots.knows, fingerprint) else missed + 1
             damage = ""
         except ConfigError as exc:  # who was let in stays
             if str(exc) != damage:

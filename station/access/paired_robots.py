@@ -149,7 +149,11 @@ class PairedRobots:
         """Before a code is used up. Raises ConfigError: a robot could not be stored."""
         make_private_folder(self.path.parent)
         with locked(self.path):
-            self._write(self.all())
+            robots = self.all()
+            for robot in robots:
+                for address in robot.also_at:  # where it is met from then on, if another robot gets its address
+                    parse_address(address, f"{self.path} is damaged: in also_at of {robot.name}")
+            self._write(robots)
 
     def store(self, robot: PairedRobot) -> tuple[PairedRobot, ...]:
         """Add a robot; returns the others that had its address. These lose it, and stay paired: routers give addresses

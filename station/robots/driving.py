@@ -14,6 +14,8 @@ from shared.lease import DriverLease
 from shared.messages import MAX_DRIVE_TTL_MS, Capabilities
 from station.config import DriveConfig
 from station.errors import Conflict, NoRobot, NotCapable, NotDriver, OutOfRange
+from station.robots.holds import Holds
+from station.robots.link_state import RobotIdentity
 
 MAX_TTL_MS = 1000  # how long one POST may hold; the joystick's commands hold 250 ms at most (station/api/robot.py)
 MAX_DRIVER_NAME = 64
@@ -60,16 +62,22 @@ class _Command:
     linear: float
     angular: float
     until_ns: int
+    robot: RobotIdentity | None  # no other one
 
 
 class Driving:
-    """Checks commands, keeps the lease, repeats a long command to the robot and stops it when its time is over."""
+    """Checks commands, keeps the lease, repeats a long command to the robot and stops it when its time is over.
+
+    A command goes to the robot for which its driver began to drive, and to no other: whoever holds on while another one
+    takes its place must let go first.
+    """
 
     def __init__(
         self,
         link: DriveLink,
         config: DriveConfig,
         capabilities: Callable[[], Capabilities | None],
+        robot: Callable[[], RobotIdentity | None],
         on_driver: Callable[[str | None], None],
         on_silence: Callable[[str], None],
         now_ns: Callable[[], int] = time.monotonic_ns,
@@ -78,8 +86,9 @@ class Driving:
         other_station: Callable[[], str | None] = lambda: None,
         why_alone: Callable[[], str] = lambda: "",
     ) -> None:
-        """`on_command` gets what was sent to the robot: driver, m/s, rad/s, ms to live.
+        """`capabilities` are those of the robot that is connected; `robot` is that one, else the one that was last.
 
+        `on_command` gets what was sent to the robot: driver, m/s, rad/s, ms to live.
         `must_stand` says why the robot may not move, in a sentence; empty when it may. `other_station` names the one
         that drives it, as the robot says: it would refuse our commands. `why_alone` says why no robot is connected.
         """
@@ -90,6 +99,8 @@ class Driving:
         self._link = link
         self._config = config
         self._capabilities = capabilities
+        self._robot = robot
+        self._holds = Holds()
         self._on_driver = on_driver
         self._on_silence = on_silence
         self._now_ns = now_ns
@@ -141,18 +152,20 @@ class Driving:
 
         Raises:
             NoRobot, NotCapable, NotDriver (another one or another station drives), OutOfRange, Conflict (was stopped
-                and holds on, or must stand): in words for a person.
+                and holds on, began to drive another robot and holds on, or must stand): in words for a person.
         """
+        is_still = linear == 0.0 and angular == 0.0
+        is_same_robot = self._hear(driver, min(max(ttl_ms, 0), MAX_TTL_MS), is_still=is_still)
         able = self._require_drive()
         _check("linear", linear, able.max_linear_m_s, "m/s")
         _check("angular", angular, able.max_angular_rad_s, "rad/s")
         if not 1 <= ttl_ms <= MAX_TTL_MS:
             raise OutOfRange(f"ttl_ms {ttl_ms} is outside 1..{MAX_TTL_MS}; repeat the command instead")
-        is_still = linear == 0.0 and angular == 0.0
         if not is_still and (reason := self._must_stand()):
             raise Conflict(reason)
         if not is_still:  # letting go is heard whoever drives
             self._require_robot_for_us()
+        _require_same(is_same_robot)
         verdict = self._lease.command(_named(driver), is_still, self._now_ns(), ttl_ms * 1_000_000)
         self._require_wheel(verdict != "taken")
         if verdict == "stopped":
@@ -162,11 +175,13 @@ class Driving:
             raise NoRobot("the robot is not connected just now; the link comes back by itself")
         self._on_command(driver, linear, angular, ttl_ms)
         self._sent_ns = self._now_ns()
-        self._command = None if is_still else _Command(linear, angular, self._now_ns() + ttl_ms * 1_000_000)
+        until_ns = self._now_ns() + ttl_ms * 1_000_000
+        self._command = None if is_still else _Command(linear, angular, until_ns, self._robot())
         self._changed.set()
 
     def note_late(self, driver: str) -> None:
-        """A velocity of this driver came too late to count: a stop by somebody else goes on holding."""
+        """A velocity of this driver came too late to count: what it has to let go for goes on holding."""
+        self._hear(driver)
         self._lease.hear_holding(driver, self._now_ns())
 
     def is_held_by(self, driver: str) -> bool:
@@ -183,6 +198,8 @@ class Driving:
             False when no robot is connected.
         """
         self._command = None
+        if by is not None:
+            self._holds.let_go(by)
         is_sent = self._link.stop(until_confirmed=until_confirmed)  # before all else
         self._lease.stop(by, self._now_ns())
         self._on_command(by or "station", 0.0, 0.0, 0)
@@ -190,12 +207,14 @@ class Driving:
 
     def point(self, driver: str, pan: float, tilt: float) -> None:
         """Point the camera head (rad). Needs the wheel, as driving does."""
+        is_same_robot = self._hear(driver)
         able = self._require_robot()
         if not able.pan_tilt:
             raise NotCapable("this robot has no pan-tilt head")
         _check("pan", pan, math.pi, "rad")
         _check("tilt", tilt, math.pi, "rad")
         self._require_robot_for_us()
+        _require_same(is_same_robot)
         self._require_wheel(self._lease.claim(_named(driver), self._now_ns()))
         if not self._link.point(pan, tilt):
             raise NoRobot("the robot is not connected just now; the link comes back by itself")
@@ -223,6 +242,7 @@ class Driving:
         if self.driver == driver:
             self.stop(driver)
         self._lease.release(driver)
+        self._holds.let_go(driver)
         self._notify_driver()
 
     async def run(self) -> None:
@@ -236,7 +256,10 @@ class Driving:
     async def _step(self) -> None:
         now_ns = self._now_ns()
         self._lease.listen(now_ns)
+        self._holds.listen(now_ns)
         self._notify_driver()
+        if self._command is not None and self._command.robot != self._robot():
+            self._command = None  # it rests: nobody has told it anything
         command = self._command
         if command is not None and now_ns >= command.until_ns:
             self._command = None
@@ -258,6 +281,13 @@ class Driving:
             # Not wait_for: before Python 3.12 it can swallow a cancellation, and the station would never end.
             async with asyncio.timeout(wait_ns / 1e9):
                 await self._changed.wait()
+
+    def _hear(self, driver: str, ttl_ms: int = 0, *, is_still: bool = False) -> bool:
+        """Whether a command, whatever becomes of it, is for the robot that is there now."""
+        if is_still:
+            self._holds.let_go(driver)
+            return True
+        return self._holds.hear(driver, self._robot(), self._now_ns(), ttl_ms * 1_000_000)
 
     def _require_robot(self) -> Capabilities:
         able = self._capabilities()
@@ -290,6 +320,11 @@ class Driving:
         if (driver := self.driver) != self._notified:
             self._notified = driver
             self._on_driver(driver)
+
+
+def _require_same(is_same_robot: bool) -> None:
+    if not is_same_robot:
+        raise Conflict("another robot than the one you drove is connected; let go of the joystick once, then drive on")
 
 
 def _named(driver: str) -> str:

@@ -7,7 +7,7 @@ import contextlib
 import logging
 import secrets
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import msgspec
@@ -52,9 +52,9 @@ from station.robots.link_clock import LinkClock
 from station.robots.link_commands import DueMessages, LinkCommands
 from station.robots.link_events import LinkListener
 from station.robots.link_log import LinkLog
-from station.robots.link_state import MAY_BE_UNPAIRED, Arrivals, Hearing, LinkState, RateMeter
+from station.robots.link_state import MAY_BE_UNPAIRED, Arrivals, Hearing, LinkState, RateMeter, RobotIdentity
 from station.robots.network import NetworkState, OwnPauses, RecentDelays
-from station.robots.search import Find, FoundRobot, RobotSearch
+from station.robots.search import NO_ROBOT_FOUND, Find, RobotSearch, find_in_network
 
 logger = logging.getLogger(__name__)
 
@@ -63,9 +63,6 @@ REFUSED_RETRY_S = 1.5  # somebody must do something first: pair, or set up; or a
 GREETED_WITHIN_NS = 1_500_000_000  # a hello that was lost on the way must not cost more than a new connection
 TICK_S = 0.025
 AUTO = "auto"  # as host: look for a robot
-NO_ROBOT_FOUND = (
-    "no robot makes itself known in this network; start robot-server with --host 0.0.0.0 there, or give its HOST:PORT"
-)
 
 
 class RobotLink:
@@ -86,7 +83,7 @@ class RobotLink:
         robots: PairedRobots | None = None,
     ) -> None:
         """`robots`: who is paired with this station; None: robots are met without TLS wherever they are."""
-        self._search = RobotSearch(robots, find or _find_in_network) if host == AUTO else None
+        self._search = RobotSearch(robots, find or find_in_network) if host == AUTO else None
         self._host = host
         self._port = port
         self._listener = listener
@@ -108,6 +105,7 @@ class RobotLink:
         self._connected = False
         self._reason = "not connected yet"
         self._hello: Hello | None = None
+        self._robot: RobotIdentity | None = None  # whose hello that is
         self._clock = LinkClock()
         self._rates = RateMeter()
         self._delays = RecentDelays()
@@ -128,6 +126,7 @@ class RobotLink:
             connected=self._connected,
             quiet=self._connected and self._session.state is State.QUIET,
             hello=self._hello,
+            robot=self._robot,
             reason="" if self._connected else self._reason,
             connections=self._connections,
             network=self._network(frame_rate_hz),
@@ -218,10 +217,6 @@ class RobotLink:
             logger.info("%s: %s", self._host, exc)
             return f"{self._host} is no host name; give --robot HOST:PORT"
         writer = connection.writer
-        if self._search is not None and (refusal := self._search.refusal(connection.fingerprint)):
-            writer.transport.abort()
-            self._retry_s, self._is_refused = REFUSED_RETRY_S, True
-            return refusal
         self._connection = connection
         self._session = Session("station", self._now_ns(), join_within_ns=GREETED_WITHIN_NS)
         self._due.clear()
@@ -230,16 +225,10 @@ class RobotLink:
         self._silence.clear()
         self.commands.restart_count()
         # No task group: of an end and a cancellation in the same moment it reports the end only (until Python 3.13).
-        tasks = [
-            asyncio.create_task(part)
-            for part in (
-                self._read(connection),
-                self._write(writer),
-                self._tick(),
-                self._look_for_another_way(),
-                self._end_when_forgotten(connection),
-            )
-        ]
+        parts = [self._read(connection), self._write(writer), self._tick(), self._look_for_another_way()]
+        if self._robots is not None and connection.fingerprint:
+            parts.append(self._end_when_forgotten(connection.fingerprint, self._robots))
+        tasks = [asyncio.create_task(part) for part in parts]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -345,8 +334,8 @@ class RobotLink:
                     way.writer.transport.abort()
                 await asyncio.sleep(RETRY_S)
 
-    async def _end_when_forgotten(self, connection: Connection) -> None:
-        self._session.close(Event.LOST, await until_forgotten(connection, self._robots))
+    async def _end_when_forgotten(self, fingerprint: bytes, robots: PairedRobots) -> None:
+        self._session.close(Event.LOST, await until_forgotten(fingerprint, robots))
         raise _Ended
 
     def _is_unheard(self, now_ns: int) -> bool:
@@ -385,8 +374,8 @@ class RobotLink:
                 self._greet(message)
             case Welcome():
                 self._connected = True
-                if self._search is not None and self._connection is not None:
-                    self._search.accept(self._connection.fingerprint)
+                if self._search is not None and self._robot is not None:
+                    self._search.accept(self._robot)
                 self.commands.open(None if self._hello is None else self._hello.capabilities)
                 self._connections += 1
                 self._hearing.note_answer(now_ns)
@@ -435,14 +424,19 @@ class RobotLink:
         self._due.put(self._arrived.confirmation(self._now_ns()))
 
     def _greet(self, hello: Hello) -> None:
+        connection = self._connection
+        robot = RobotIdentity(hello.robot_id, b"" if connection is None else connection.fingerprint)
+        if self._search is not None and (refusal := self._search.refusal(robot)):
+            self._retry_s, self._is_refused = REFUSED_RETRY_S, True
+            self._session.close(Event.LOST, refusal)
+            return
         is_same_run = self._hello is not None and self._hello.session_id == hello.session_id
         if not is_same_run:  # another count of samples, and perhaps another clock
             self._arrived.begin_run()
             self._clock = LinkClock()
-        if self._hello is not None and self._hello.robot_id != hello.robot_id:
+        if self._robot not in (None, robot):
             self.commands.forget_stop()
-        self._hello = hello
-        connection = self._connection
+        self._hello, self._robot = hello, robot
         if hello.challenge and connection is not None and connection.token is not None:
             proof = prove(connection.token, hello.challenge, connection.fingerprint)
             self._due.put(Prove(token_id=connection.token.id, proof=proof))
@@ -486,13 +480,6 @@ def _closed_is_lost() -> Iterator[None]:
         yield
     except RuntimeError as exc:
         raise ConnectionResetError(str(exc)) from exc
-
-
-def _find_in_network(seconds: float, paired: Collection[str]) -> Collection[FoundRobot]:
-    # Imported only here: zeroconf opens sockets of its own, and who gives an address does not need it.
-    from station.robots.discovery import find_robots
-
-    return find_robots(seconds, paired)
 
 
 class _Ended(Exception):

@@ -14,9 +14,16 @@ RATE_WINDOW_NS = 2_000_000_000
 # that takes a slow computer its time: after a silence as long as a late answer's, lateness counts anew.
 UNHEARD_AFTER_NS, UNHEARD_FOR_NS, UNHEARD_MESSAGES = 900_000_000, 250_000_000, 10
 
-
-# One that speaks TLS waits for our greeting, and we for its.
+# Behind why a robot that is met without TLS says nothing: one that speaks TLS waits for our greeting, and we for its.
 MAY_BE_UNPAIRED = "; if it has access control, pair with it (docs/access.md)"
+
+
+@dataclass(frozen=True, slots=True)
+class RobotIdentity:
+    """Which robot it is."""
+
+    robot_id: str  # as it says
+    fingerprint: bytes  # of its certificate, which proves it; empty: no TLS
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +35,7 @@ class LinkState:
     connected: bool = False
     quiet: bool = False  # connected, but the robot has said nothing for a second
     hello: Hello | None = None  # of the present or the last connection
+    robot: RobotIdentity | None = None  # who said it
     reason: str = "not connected yet"  # why not connected, in a sentence
     connections: int = 0  # how often a connection was made
     network: NetworkState = NOT_CONNECTED

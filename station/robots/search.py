@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from shared.errors import ConfigError
 from station.access.paired_robots import PairedRobot, PairedRobots
+from station.robots.link_state import RobotIdentity
 
 FIND_WITHIN_S = 2.0
 REFUSED_FOR_S = 60.0
@@ -25,14 +26,17 @@ class FoundRobot:
     port: int
 
 
+NO_ROBOT_FOUND = (
+    "no robot makes itself known in this network; start robot-server with --host 0.0.0.0 there, or give its HOST:PORT"
+)
 Find = Callable[[float, Collection[str]], Collection[FoundRobot]]  # seconds, ids of paired robots
 
 
 class RobotSearch:
     """Hands out addresses to try: those that look like paired robots first, those that refused lately last.
 
-    The first robot that took the station in is the one that is meant from then on, as long as the station runs:
-    another one in its place would be driven by who drove the first.
+    The first robot that took the station in is the one that is meant from then on, as long as the station runs, also
+    when it is forgotten: another one is not taken in its place unless it is paired after that.
     """
 
     def __init__(self, robots: PairedRobots | None, find: Find, now_s: Callable[[], float] = time.monotonic) -> None:
@@ -42,7 +46,10 @@ class RobotSearch:
         self._waiting: list[FoundRobot] = []
         self._refused_s: dict[tuple[str, int], float] = {}
         self._reasons: list[str] = []  # of this round
-        self._met = b""  # the fingerprint of the robot that is meant
+        self._met: RobotIdentity | None = None  # the robot that is meant
+        self._met_name = ""
+        self._paired: tuple[PairedRobot, ...] = ()  # when it could be looked up last
+        self._paired_then: set[str] = set()  # the certificates of all, when the one that is meant was among them last
 
     @property
     def has_more(self) -> bool:
@@ -52,29 +59,30 @@ class RobotSearch:
     async def next(self) -> FoundRobot | None:
         """Whom to try now; None: nobody makes itself known."""
         if not self._waiting:
-            paired = self._paired()
-            found = await asyncio.to_thread(self._find, FIND_WITHIN_S, [robot.robot_id for robot in paired])
-            self._waiting = self._ordered(found, paired)
+            self._look_who_is_paired()
+            found = await asyncio.to_thread(self._find, FIND_WITHIN_S, [robot.robot_id for robot in self._paired])
+            self._waiting = self._ordered(found)
             self._reasons.clear()
         return self._waiting.pop(0) if self._waiting else None
 
-    def refusal(self, fingerprint: bytes) -> str:
-        """Why a paired robot (empty: one without TLS) is not the one that is meant; empty: it is, or may become it."""
-        if fingerprint == self._met or not self._met:
+    def refusal(self, robot: RobotIdentity) -> str:
+        """Why a robot that answers is not the one that is meant; empty: it is, or may become it."""
+        if self._met is None or _is_same(self._met, robot):
             return ""
-        names = {robot.fingerprint: robot.name for robot in self._paired()}
-        if self._met.hex() not in names:  # it was forgotten
-            self._met = b""
+        met, certificate = self._met.fingerprint.hex(), robot.fingerprint.hex()
+        names = {paired.fingerprint: paired.name for paired in self._paired}
+        who = f"{names.get(certificate, 'another robot')} answers, and {self._met_name} was found before"
+        if not met or met in names:
+            return f"{who}; start the station again to look for any robot, or give each its NAME=HOST:PORT"
+        if certificate in names and certificate not in self._paired_then:
             return ""
-        who = names.get(fingerprint.hex(), "another robot")
-        return (
-            f"{who} answers, and {names[self._met.hex()]} was found before; start the station again"
-            " to look for any robot, or give each its NAME=HOST:PORT"
-        )
+        return f"{who}, which is not paired any more; start the station again to look for any robot, or pair anew"
 
-    def accept(self, fingerprint: bytes) -> None:
+    def accept(self, robot: RobotIdentity) -> None:
         """It took the station in."""
-        self._met = self._met or fingerprint
+        names = {paired.fingerprint: paired.name for paired in self._paired}
+        self._met, self._met_name = robot, names.get(robot.fingerprint.hex(), robot.robot_id)
+        self._paired_then = set(names)
         self._waiting.clear()
 
     def refuse(self, found: FoundRobot, reason: str) -> str:
@@ -88,8 +96,8 @@ class RobotSearch:
         more = f"; {others} more made themselves known, and none took this station in" if others else ""
         return self._reasons[0] + more
 
-    def _ordered(self, found: Collection[FoundRobot], paired: tuple[PairedRobot, ...]) -> list[FoundRobot]:
-        ids, hosts = {robot.robot_id for robot in paired}, {robot.host for robot in paired}
+    def _ordered(self, found: Collection[FoundRobot]) -> list[FoundRobot]:
+        ids, hosts = {robot.robot_id for robot in self._paired}, {robot.host for robot in self._paired}
         now_s = self._now_s()
 
         def worth(robot: FoundRobot) -> tuple[bool, int, float]:
@@ -100,8 +108,25 @@ class RobotSearch:
 
         return sorted(dict.fromkeys(found), key=worth)[:MAX_TRIED]
 
-    def _paired(self) -> tuple[PairedRobot, ...]:
+    def _look_who_is_paired(self) -> None:
+        if self._robots is None:
+            return
         try:
-            return () if self._robots is None else self._robots.all()
-        except ConfigError:
-            return ()  # the attempt to connect says what is wrong with the file
+            self._paired = self._robots.all()
+        except ConfigError:  # says nothing of who is paired; the attempt to connect says what is wrong with the file
+            return
+        certificates = {robot.fingerprint for robot in self._paired}
+        if self._met is not None and self._met.fingerprint.hex() in certificates:
+            self._paired_then = certificates
+
+
+def _is_same(met: RobotIdentity, robot: RobotIdentity) -> bool:
+    """By the certificate. One that showed none has only its id, and may have been given a certificate since."""
+    return robot.fingerprint == met.fingerprint if met.fingerprint else robot.robot_id == met.robot_id
+
+
+def find_in_network(seconds: float, paired: Collection[str]) -> Collection[FoundRobot]:
+    # Imported only here: zeroconf opens sockets of its own, and who gives an address does not need it.
+    from station.robots.discovery import find_robots
+
+    return find_robots(seconds, paired)

@@ -124,6 +124,7 @@ class RobotSession(IgnoringListener):
             self.link.commands,
             config.drive,
             self._capabilities,
+            robot=lambda: self.link.state.robot,
             on_driver=self._notify_driver,
             on_silence=lambda text: events.notify("drive", text, "warning"),
             on_command=self.current_navigation.on_command,

@@ -13,9 +13,8 @@ from shared.geometry import FloatArray
 from shared.text import MAX_EXPLANATION, printable
 from station.model.frames import ImageArray
 
-LEAST_SIDE_PX = (
-    480  # smaller pictures are enlarged: above a camera's own size that costs twice as much, and reads no more
-)
+# Smaller pictures are enlarged: above a camera's own size that costs twice as much, and reads no more.
+LEAST_SIDE_PX = 480
 MIN_SCORE = 0.9  # the best false glyph of nearby plates was at 0.71; of small print a fifth is misread at this
 
 

@@ -46,6 +46,7 @@ from station.access import connecting, paired_robots
 from station.access.connecting import ConnectionRefused, connect, connect_by_tls
 from station.access.paired_robots import PairedRobot, PairedRobots
 from station.access.visitors import access_folder
+from station.robots import link as link_module
 from tests.support.access import JOIN, NOW, GuardedBench, guarded_robot, linked, make_token, set_up, talking
 from tests.support.link import running_robot, until
 from tests.support.station import running_station
@@ -414,13 +415,50 @@ async def test_a_file_of_robots_that_is_away_for_a_moment_ends_no_link(
 ) -> None:
     monkeypatch.setattr(connecting, "LOOK_EVERY_S", 0.02)
     robots = _CountedLooks(tmp_path)
-    async with guarded_robot(tmp_path) as bench:
-        bench.admit("desk", Role.DRIVE, robots)
-        connection = await connect("127.0.0.1", bench.port, robots)
-        robots.sees = (True, False, True, False, False)
-        assert "not paired" in await connecting.until_forgotten(connection, robots)
-        assert robots.looks == len(robots.sees)
-        connection.writer.transport.abort()
+    robots.sees = (True, False, True, False, False)
+    assert "not paired" in await connecting.until_forgotten(b"", robots)
+    assert robots.looks == len(robots.sees)
+
+
+async def test_whether_it_is_still_paired_is_looked_up_for_a_robot_with_a_certificate_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked_for: list[bytes] = []
+
+    async def until_forgotten(fingerprint: bytes, robots: PairedRobots) -> str:
+        asked_for.append(fingerprint)
+        return await asyncio.Future[str]()
+
+    monkeypatch.setattr(link_module, "until_forgotten", until_forgotten)
+    robots = PairedRobots(tmp_path / "station")
+    async with running_robot() as bench, linked(bench.port, robots) as (link, _):
+        await until(lambda: link.state.connected)
+    assert not asked_for
+    async with guarded_robot(tmp_path / "robot") as guarded:
+        guarded.admit("desk", Role.DRIVE, robots)
+        async with linked(guarded.port, robots) as (link, _):
+            await until(lambda: link.state.connected)
+        assert asked_for == [guarded.gate.fingerprint]
+
+
+async def test_a_robot_that_is_forgotten_right_after_a_look_is_left_within_a_second(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the pauses between the looks, which leave a fifth of the second for the looks themselves."""
+    pauses_s: list[float] = []
+    pause = asyncio.sleep
+
+    async def note(seconds: float) -> None:
+        pauses_s.append(seconds)
+        await pause(0)
+
+    robots = _CountedLooks(tmp_path)
+    robots.sees = (True, False, False)
+    with monkeypatch.context() as patched:
+        patched.setattr(asyncio, "sleep", note)
+        await connecting.until_forgotten(b"", robots)
+    assert len(pauses_s) == len(robots.sees)
+    assert sum(pauses_s[1:]) <= 0.8
 
 
 async def test_a_revocation_that_somebodys_proof_finds_out_first_counts_too(tmp_path: Path) -> None:

@@ -306,10 +306,10 @@ async def linked(
 
 
 class Proxy:
-    """A wire between station and robot that tests cut, stall and mend."""
+    """A wire between station and robot that tests cut, stall, mend and lead elsewhere."""
 
     def __init__(self, target_port: int) -> None:
-        self._target_port = target_port
+        self.target_port = target_port
         self._server: asyncio.Server | None = None
         self._tasks: set[asyncio.Task[None]] = set()
         self._writers: set[asyncio.StreamWriter] = set()
@@ -342,7 +342,7 @@ class Proxy:
     async def _take(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._writers.add(writer)
         try:
-            robot_reader, robot_writer = await asyncio.open_connection("127.0.0.1", self._target_port)
+            robot_reader, robot_writer = await asyncio.open_connection("127.0.0.1", self.target_port)
         except OSError:
             writer.transport.abort()
             return

@@ -101,7 +101,18 @@ def silent_ms(since_ns: int, until_ns: int, told: Sequence[Told]) -> float | Non
 
 def _last_motion(until_ns: int, told: Sequence[Told]) -> tuple[int, float] | None:
     """The last word to turn before a time, and the stop that ended it (infinite: none before that time)."""
-    last = max((word.t_ns for word in told if word.t_ns < until_ns and not word.is_stop), default=None)
+    last = max((word.t_ns for word in told if word.t_ns < until_ns and not word.is_stop), default=0.0)
     if last is None:
         return None
     return last, min((word.t_ns for word in told if last <= word.t_ns < until_ns and word.is_stop), default=math.inf)
+
+
+def wrong_until_s(offsets: Sequence[tuple[float, float]], limit_ms: float) -> float | None:
+    """When a clock's offset was farther off than that the last time; 0: never; None: no offset is known.
+
+    Args:
+        offsets: (s, ms off), of a true offset of 0.
+    """
+    if not offsets:
+        return None
+    return max((t_s for t_s, ms in offsets if abs(ms) > limit_ms), default=0.0)

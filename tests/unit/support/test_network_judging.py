@@ -14,6 +14,7 @@ from tests.support.network.judging import (
     numbered,
     silent_ms,
     stopped_ms,
+    wrong_until_s,
 )
 
 MS = 1_000_000
@@ -85,3 +86,12 @@ def test_a_late_word_that_starts_the_motors_once_more_makes_the_stop_later() -> 
     assert stopped_ms(100 * MS, 400 * MS, words) == pytest.approx(160)
     assert stopped_ms(120 * MS, 400 * MS, words) == pytest.approx(140)
     assert stopped_ms(100 * MS, 600 * MS, words) == math.inf
+
+
+@pytest.mark.parametrize(
+    ("offsets", "wrong_s"),
+    [([], None), ([(0.5, 1.9), (1.0, -2.0)], 0.0), ([(0.5, 3.0), (1.0, -2.5), (1.5, 0.1)], 1.0)],
+    ids=["none is known", "never", "at first"],
+)
+def test_when_a_clock_was_wrong_the_last_time(offsets: list[tuple[float, float]], wrong_s: float | None) -> None:
+    assert wrong_until_s(offsets, 2.0) == wrong_s

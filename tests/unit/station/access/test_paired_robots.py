@@ -105,6 +105,18 @@ def test_a_fingerprint_that_is_none_is_a_sentence(robots: PairedRobots) -> None:
             robots.all()
 
 
+def test_addresses_that_are_none_are_a_sentence_before_the_code_is_used_up(robots: PairedRobots) -> None:
+    robots.store(robot("Berta", "10.77.0.12", BERTA))
+    for host in ("10.77.0.14", "fd00::14", "fe80::14%eth0", "berta.local"):
+        assert is_taken(robots, BERTA, host)  # and noted
+    robots.check_writable()
+    (berta,) = robots.all()
+    damaged = msgspec.structs.replace(berta, also_at=("10.77.0.14:7400", "10.77.0.14:x"))
+    write_private(robots.path, msgspec.json.encode({"version": 1, "robots": [damaged]}))
+    with pytest.raises(ConfigError, match=r"damaged: in also_at of Berta '10\.77\.0\.14:x' is no HOST:PORT"):
+        robots.check_writable()
+
+
 def test_what_a_terminal_would_obey_is_not_shown(robots: PairedRobots) -> None:
     robots.check_writable()  # makes its folder
     raw = _raw(name="A\x1b[2J\u202eanna", host="h\x07", robot_id="\x1b")

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from shared.private_files import write_private
 from station.access.paired_robots import PairedRobot, PairedRobots
+from station.robots.link_state import RobotIdentity
 from station.robots.search import MAX_TRIED, REFUSED_FOR_S, FoundRobot, RobotSearch
 
 OURS = FoundRobot("sentinel", "192.168.1.20", 7400)
@@ -63,7 +65,7 @@ async def test_who_refused_comes_last_until_a_minute_is_over(paired: PairedRobot
     search = RobotSearch(paired, Network([liar, OURS, STRANGERS[0]]).find, lambda: now_s[0])
     assert await search.next() == liar
     search.refuse(liar, "not paired")
-    search.accept(b"a")
+    search.accept(RobotIdentity("sentinel", b"a"))
     assert [await search.next() for _ in range(3)] == [OURS, STRANGERS[0], liar]
     now_s[0] = REFUSED_FOR_S + 1
     assert await search.next() == liar
@@ -93,12 +95,79 @@ async def test_the_first_reason_of_a_round_is_told_with_how_many_others_there_we
     assert said == "the code is old; 2 more made themselves known, and none took this station in"
 
 
-def test_only_the_robot_that_was_met_is_meant_from_then_on(paired: PairedRobots) -> None:
-    search = RobotSearch(paired, Network([]).find)
-    assert not search.refusal(b"\xaa" * 32)
-    search.accept(b"\xaa" * 32)
-    assert not search.refusal(b"\xaa" * 32)
-    assert "Anna was found before" in search.refusal(b"\xbb" * 32)
-    assert search.refusal(b"")  # one that shows no certificate at all
-    paired.forget("Anna")
-    assert not search.refusal(b"\xbb" * 32)
+def paired_robot(name: str, certificate: str) -> PairedRobot:
+    return PairedRobot(
+        robot_id="sentinel", name=name, host=f"{name}.local", port=7400, fingerprint=certificate * 64, token="x"
+    )
+
+
+ANNA, BERTA, CARLA = (RobotIdentity("sentinel", bytes.fromhex(digit * 64)) for digit in "abc")
+
+
+async def met_anna(tmp_path: Path) -> tuple[PairedRobots, RobotSearch]:
+    """Paired with Anna and Berta, and Anna took the station in."""
+    robots = PairedRobots(tmp_path)
+    for name, certificate in (("Anna", "a"), ("Berta", "b")):
+        robots.store(paired_robot(name, certificate))
+    search = RobotSearch(robots, Network([]).find)
+    await search.next()
+    assert not search.refusal(ANNA)
+    search.accept(ANNA)
+    return robots, search
+
+
+async def test_only_the_robot_that_was_met_is_meant_from_then_on(tmp_path: Path) -> None:
+    _, search = await met_anna(tmp_path)
+    assert not search.refusal(ANNA) and not search.refusal(RobotIdentity("renamed", ANNA.fingerprint))
+    assert "Berta answers, and Anna was found before" in search.refusal(BERTA)
+    assert "another robot answers" in search.refusal(RobotIdentity("sentinel", b""))  # shows no certificate at all
+
+
+async def test_the_robot_that_was_met_is_meant_also_when_it_is_forgotten_until_it_or_another_is_paired(
+    tmp_path: Path,
+) -> None:
+    robots, search = await met_anna(tmp_path)
+    robots.forget("Anna")
+    for _ in range(2):
+        await search.next()
+        said = search.refusal(BERTA)
+        assert "Berta answers, and Anna was found before, which is not paired any more; start the station" in said
+    assert not search.refusal(ANNA)  # that it has to be paired again says who connects to it
+    robots.store(paired_robot("Carla", "c"))
+    await search.next()
+    assert not search.refusal(CARLA) and search.refusal(BERTA)
+
+
+async def test_who_was_paired_before_the_forgetting_does_not_come_in_its_place(tmp_path: Path) -> None:
+    robots, search = await met_anna(tmp_path)
+    robots.store(paired_robot("Carla", "c"))
+    await search.next()  # Anna was away for a while
+    robots.forget("Anna")
+    await search.next()
+    assert "Carla answers, and Anna was found before" in search.refusal(CARLA)
+
+
+@pytest.mark.parametrize("content", [b"damaged", None], ids=["damaged", "away"])
+async def test_a_file_of_robots_that_says_nothing_for_a_moment_forgets_nobody(
+    tmp_path: Path, content: bytes | None
+) -> None:
+    robots, search = await met_anna(tmp_path)
+    whole = robots.path.rename(tmp_path / "whole")
+    if content is not None:
+        write_private(robots.path, content)
+    await search.next()
+    assert "Anna was found before" in search.refusal(BERTA)
+    whole.rename(robots.path)
+    await search.next()
+    assert "Berta answers, and Anna was found before; start the station again" in search.refusal(BERTA)
+
+
+def test_without_certificates_the_robot_that_was_met_is_known_by_its_id() -> None:
+    search = RobotSearch(None, Network([]).find)
+    search.accept(RobotIdentity("anna", b""))
+    assert "another robot answers, and anna was found before" in search.refusal(RobotIdentity("berta", b""))
+    assert not search.refusal(RobotIdentity("anna", b""))
+    given_one = RobotIdentity("anna", ANNA.fingerprint)  # by `robot-server access init`; and it was paired then
+    assert not search.refusal(given_one)
+    search.accept(given_one)
+    assert search.refusal(RobotIdentity("anna", b""))
