@@ -101,7 +101,7 @@ def silent_ms(since_ns: int, until_ns: int, told: Sequence[Told]) -> float | Non
 
 def _last_motion(until_ns: int, told: Sequence[Told]) -> tuple[int, float] | None:
     """The last word to turn before a time, and the stop that ended it (infinite: none before that time)."""
-    last = max((word.t_ns for word in told if word.t_ns < until_ns and not word.is_stop), default=0.0)
+    last = max((word.t_ns for word in told if word.t_ns < until_ns and not word.is_stop), default=None)
     if last is None:
         return None
     return last, min((word.t_ns for word in told if last <= word.t_ns < until_ns and word.is_stop), default=math.inf)
