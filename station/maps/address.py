@@ -43,6 +43,18 @@ def heal(data: bytes, address: str) -> bytes | None:
     return None
 
 
+def wrong_bits(found: bytes, wanted: bytes) -> int:
+    """By how many bits two differ; by all of them where they are not of one length."""
+    if len(found) != len(wanted):
+        return 8 * max(len(found), len(wanted))
+    return (int.from_bytes(found) ^ int.from_bytes(wanted)).bit_count()
+
+
+def is_nearly(found: bytes, wanted: bytes) -> bool:
+    """Whether one wrong bit at most is all that they differ by. For what is known by heart and has no address."""
+    return wrong_bits(found, wanted) <= 1
+
+
 def _flipped(data: bytes, position: int, bit: int, address: str) -> bytes | None:
     healed = bytearray(data)
     healed[position] ^= 1 << bit

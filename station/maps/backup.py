@@ -16,7 +16,7 @@ from shared.errors import DataError
 from shared.text import printable
 from station.maps import backup_list, versions
 from station.maps.address import ADDRESS, address_of, heal, is_whole
-from station.maps.backup_list import Listed, with_right_headers
+from station.maps.backup_list import Listed, padded, with_right_headers
 from station.maps.blobs import Damaged, blob_name
 from station.maps.contents import Contents, row_of
 from station.maps.record import MapRecord, decode_record
@@ -159,7 +159,7 @@ def _members(archive: tarfile.TarFile, size: int, lost: Callable[[int, str], Non
         if member.offset > end:
             lost(member.offset - end, f"before {member.name}")
         yield member
-        end = member.offset_data + -(-member.size // tarfile.BLOCKSIZE) * tarfile.BLOCKSIZE
+        end = member.offset_data + padded(member.size)
     if size - end < 2 * tarfile.BLOCKSIZE:
         raise ValueError("its end is missing")
     begin = _first_not_zero(archive, end)

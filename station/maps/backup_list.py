@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import BinaryIO, cast
 
 from shared.bounded import MAX_FILE_BYTES
-from station.maps.address import ADDRESS, address_of, heal, is_whole
+from station.maps.address import ADDRESS, address_of, heal, is_whole, wrong_bits
 
 FOLDER = "contents"
 PIECE = 2048 * tarfile.BLOCKSIZE  # of a file that is looked through from its end
@@ -92,7 +92,7 @@ def _blocks_from_the_end(file: BinaryIO, size: int) -> Iterator[tuple[int, bytes
 def _headers_like(block: bytes) -> Iterator[tarfile.TarInfo]:
     """What a block says as the header of the list, as it is or with one bit put right."""
     begins = f"{FOLDER}/".encode()
-    off = _wrong_bits(block[: len(begins)], begins) + _wrong_bits(block[_MAGIC], b"ustar")
+    off = wrong_bits(block[: len(begins)], begins) + wrong_bits(block[_MAGIC], b"ustar")
     if len(block) != tarfile.BLOCKSIZE or off > 1:
         return
     as_number = int.from_bytes(block)
@@ -135,17 +135,10 @@ def with_right_headers(file: BinaryIO, files: Sequence[Listed]) -> tuple[BinaryI
     wrong = []
     for listed in files:
         file.seek(listed.offset)
-        if _wrong_bits(file.read(len(listed.header)), listed.header) == 1:
+        if wrong_bits(file.read(len(listed.header)), listed.header) == 1:
             wrong.append(listed)
     file.seek(0)
     return cast(BinaryIO, _Patched(file, wrong)) if wrong else file, [listed.name for listed in wrong]
-
-
-def _wrong_bits(found: bytes, wanted: bytes) -> int:
-    """By which two differ; many where they are not of one length."""
-    if len(found) != len(wanted):
-        return 8 * len(wanted)
-    return (int.from_bytes(found) ^ int.from_bytes(wanted)).bit_count()
 
 
 class _Patched:

@@ -22,6 +22,7 @@ from shared.bounded import shown
 from shared.disk import lock
 from shared.errors import ConfigError, DataError
 from station.files.unwritable import Unwritable, cannot_write, why_unwritable
+from station.maps.address import is_nearly
 
 LOCK = ".lock"  # in the store's folder
 REVISIONS = ("0001", "0002")  # the migrations in migrations/versions
@@ -143,9 +144,9 @@ class Database:
         with self._in_words(), self.path.open("rb") as file:
             head = file.read(SQLITE_HEAD_BYTES)
         stamp = head[SQLITE_STAMP]
-        if not _is_nearly(head[: len(SQLITE_BEGINS)], SQLITE_BEGINS):
+        if not is_nearly(head[: len(SQLITE_BEGINS)], SQLITE_BEGINS):
             why = "is no SQLite database"
-        elif _is_nearly(stamp, STAMP):
+        elif is_nearly(stamp, STAMP):
             return
         elif any(stamp) or any(head[SQLITE_USER_VERSION]) or head[SQLITE_WRITES_AT:].startswith(SQLITE_WRITES_AHEAD):
             why = "is another program's database (its header has that program's numbers)"
@@ -280,12 +281,6 @@ def _looked_into(path: Path) -> tuple[set[str], list[str]]:
         columns = connection.execute(f"PRAGMA table_info({VERSIONS.name})").fetchall()
         names = connection.execute("SELECT name FROM sqlite_master ORDER BY name").fetchall()
     return {str(row[1]) for row in columns}, [str(name) for (name,) in names]
-
-
-def _is_nearly(found: bytes, wanted: bytes) -> bool:
-    """Whether one bit at most is another one."""
-    is_as_long = len(found) == len(wanted)
-    return is_as_long and (int.from_bytes(found) ^ int.from_bytes(wanted)).bit_count() <= 1
 
 
 def _url(url: str, folder: Path) -> URL:

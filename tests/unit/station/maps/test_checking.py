@@ -20,7 +20,7 @@ from shared.errors import DataError
 from station.files.navigation_folder import save_navigation
 from station.main import app
 from station.maps import versions
-from station.maps.address import address_of, heal
+from station.maps.address import address_of, heal, is_nearly, wrong_bits
 from station.maps.backup import README_NAME, restore_backup, write_backup
 from station.maps.blobs import Damaged
 from station.maps.record import decode_record, encode_record, map_content_hash
@@ -57,6 +57,11 @@ def test_one_wrong_bit_is_put_right_and_never_more(data: bytes, position: float,
     if second:
         wrong[-1 if bit // 8 < len(data) - 1 else 0] ^= 1 << (bit + 1) % 8
     assert heal(bytes(wrong), address_of(data)) == (None if second else data)
+
+
+@pytest.mark.parametrize(("found", "bits"), [(b"SntM", 0), (b"SntL", 1), (b"SltL", 2), (b"Snt", 32), (b"", 32)])
+def test_wrong_bits_are_counted_and_all_are_wrong_of_another_length(found: bytes, bits: int) -> None:
+    assert wrong_bits(found, b"SntM") == bits and is_nearly(found, b"SntM") == (bits <= 1)
 
 
 def test_a_sound_store_is_called_sound(store: MapStore, told: list[str]) -> None:
