@@ -354,7 +354,7 @@ def test_a_database_that_another_program_left_unfinished_is_not_touched(
     assert {path.name: path.read_bytes() for path in left.iterdir()} == before
 
 
-@pytest.mark.parametrize("at", [3, 100])
+@pytest.mark.parametrize("at", [3, 68, 69, 70, 71, 100])
 def test_one_wrong_bit_makes_ours_no_other_programs(place_map: PlaceMap, tmp_path: Path, at: int) -> None:
     address = StoreAddress(tmp_path / "maps", f"sqlite:///{tmp_path / 'ours.db'}")
     MapStore(address).save(place_map)
