@@ -7,6 +7,7 @@ import sqlite3
 from pathlib import Path
 
 from shared.bounded import shown
+from shared.text import printable
 from station.maps.address import is_nearly
 
 STAMP = b"SntM"  # the application_id of ours
@@ -34,7 +35,9 @@ def why_foreign(path: Path, table: str, columns: set[str]) -> str:
     try:
         found, names = _looked_into(path, table)
     except sqlite3.DatabaseError as exc:
-        return f"is damaged ({exc}), and may be another program's"
+        return f"is damaged ({printable(str(exc))}), and may be another program's"
+    except UnicodeDecodeError:  # sqlite3 quotes the damaged text in its own error, and cannot
+        return "is damaged (it holds text that is none), and may be another program's"
     if found >= columns or not names:
         return ""
     return f"is another program's database (it has {shown(names[0])})"

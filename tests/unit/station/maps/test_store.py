@@ -12,9 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from shared.errors import ConfigError, DataError
 from shared.text import is_printable
+from station.main import app
 from station.maps import bucket as bucket_module
 from station.maps import store as store_module
 from station.maps.folder import save_map_folder
@@ -362,6 +364,27 @@ def test_one_wrong_bit_makes_ours_no_other_programs(place_map: PlaceMap, tmp_pat
     content[at] ^= 1
     (tmp_path / "ours.db").write_bytes(content)
     assert [one.id for one in MapStore(address).list()] == [place_map.id]
+
+
+@pytest.mark.parametrize(
+    ("name", "sql"), [("x'ff'", "x'435245ff'"), ("'\x1b[31msong'", "'CREATE TABLE \x1b]0;owned ((('"), ("x'ff'", "sql")]
+)
+def test_a_named_database_whose_schema_is_no_text_is_refused_in_a_sentence(
+    place_map: PlaceMap, tmp_path: Path, name: str, sql: str
+) -> None:
+    theirs = tmp_path / "theirs"
+    with contextlib.closing(sqlite3.connect(theirs)) as connection:
+        connection.execute("CREATE TABLE song (title TEXT)")
+        connection.execute("PRAGMA writable_schema = 1")
+        connection.execute(f"UPDATE sqlite_master SET name = CAST({name} AS TEXT), sql = CAST({sql} AS TEXT)")
+        connection.commit()
+    before = theirs.read_bytes()
+    config = tmp_path / "station.toml"
+    config.write_text(f'[store]\ndatabase = "sqlite:///{theirs}"\n')
+    result = CliRunner().invoke(app, ["map", "list", "--data", str(tmp_path / "data"), "--config", str(config)])
+    assert isinstance(result.exception, DataError), result.exception
+    assert "another program's" in str(result.exception) and "\x1b" not in str(result.exception)
+    assert theirs.read_bytes() == before
 
 
 def test_a_database_is_named_by_its_path(tmp_path: Path) -> None:
