@@ -91,6 +91,7 @@ class Database:
             with connection.begin():
                 if self.is_sqlite:
                     self._refuse_views_and_triggers(connection)
+                    _stamp(connection)
                 else:
                     connection.execute(
                         text("SELECT pg_advisory_xact_lock(:kind, hashtext(:name))"),
@@ -122,8 +123,6 @@ class Database:
         with self.writing("migrations") as connection:
             was_empty = self.revision(connection) is None
             upgrade(connection)
-            if self.is_sqlite:
-                connection.exec_driver_sql(f"PRAGMA application_id = {int.from_bytes(STAMP)}")
         return was_empty
 
     def refuse_foreign(self) -> None:
@@ -236,6 +235,13 @@ class Database:
         if "full" in reason:
             return "free space, or choose another folder"
         return "make its disk writable again, or choose a folder that can be written"
+
+
+def _stamp(connection: Connection) -> None:
+    """Say in an SQLite file's header whose it is, also in one that was made before there were stamps."""
+    number = int.from_bytes(STAMP)
+    if connection.exec_driver_sql("PRAGMA application_id").scalar() != number:
+        connection.exec_driver_sql(f"PRAGMA application_id = {number}")
 
 
 def upgrade(connection: Connection, revision: str = HEAD) -> None:

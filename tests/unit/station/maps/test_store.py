@@ -366,6 +366,26 @@ def test_one_wrong_bit_makes_ours_no_other_programs(place_map: PlaceMap, tmp_pat
     assert [one.id for one in MapStore(address).list()] == [place_map.id]
 
 
+def stamp_of(path: Path) -> bytes:
+    return path.read_bytes()[68:72]
+
+
+def test_a_database_from_before_stamps_gets_one_when_it_is_written_and_not_before(
+    place_map: PlaceMap, tmp_path: Path
+) -> None:
+    ours = tmp_path / "ours.db"
+    address = StoreAddress(tmp_path / "maps", f"sqlite:///{ours}")
+    MapStore(address).save(place_map)
+    assert stamp_of(ours) == b"SntM"
+    with contextlib.closing(sqlite3.connect(ours)) as connection:
+        connection.execute("PRAGMA application_id = 0")
+    before = ours.read_bytes()
+    assert [one.id for one in MapStore(address).list()] == [place_map.id]
+    assert ours.read_bytes() == before
+    rename_place(MapStore(address), place_map.id, place_map.places[0].id, "Sofa")
+    assert stamp_of(ours) == b"SntM"
+
+
 @pytest.mark.parametrize(
     ("name", "sql"), [("x'ff'", "x'435245ff'"), ("'\x1b[31msong'", "'CREATE TABLE \x1b]0;owned ((('"), ("x'ff'", "sql")]
 )
