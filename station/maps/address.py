@@ -7,6 +7,7 @@ import re
 import zlib
 
 ADDRESS = re.compile(r"[0-9a-f]{64}-[0-9a-f]{8}")
+ADDRESS_LENGTH = 64 + 1 + 8
 _POLYNOMIAL = 0xEDB88320  # CRC-32 of IEEE 802.3, bits reversed, as zlib computes it
 
 

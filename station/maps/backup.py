@@ -16,7 +16,7 @@ from shared.errors import DataError
 from shared.text import printable
 from station.maps import backup_list, versions
 from station.maps.address import ADDRESS, address_of, heal, is_whole
-from station.maps.backup_list import Listed, padded, with_right_headers
+from station.maps.backup_list import BackupList, Listed, padded, with_right_headers
 from station.maps.blobs import Damaged, blob_name
 from station.maps.contents import Contents, row_of
 from station.maps.record import MapRecord, decode_record
@@ -107,9 +107,9 @@ def _restore(store: MapStore, contents: Contents, path: Path) -> BackupReport:
     try:
         with open_file(path) as file:
             found.listed = backup_list.read(file)
-            whole, names = with_right_headers(file, found.listed)
+            whole, names = with_right_headers(file, found.listed) if found.listed else (file, [])
             for name in names:
-                found.put_right(name)
+                found.header_put_right(name)
             with _opened(in_pieces(whole, MAX_PIECE_BYTES)) as archive:
                 for member in _members(archive, path.stat().st_size, found.lost):
                     found.add(archive, member)
@@ -188,7 +188,7 @@ class _Found:
         self.damaged: list[str] = []
         self.entries = 0  # of any kind
         self.strangers, self.first_stranger = 0, ""  # entries that no backup has
-        self.listed: list[Listed] = []  # what was written into it, where it says so
+        self.listed: BackupList | None = None  # what was written into it, where it says so
         self._names: set[str] = set()
         self._has_no_list = False  # it was written before there were lists
         self._store = store
@@ -238,23 +238,34 @@ class _Found:
         """How it is; it was read before, but where something stands behind it."""
         try:
             data = self._whole(_read(archive, member, MAX_FILE_BYTES), member.name, address)
-            self.listed = self.listed or backup_list.decode(data, member.name)
+            self.listed = self.listed or backup_list.decode(data, member.name, member.offset)
         except (Refused, _LeftOut) as exc:
             self.damaged.append(f"{self._path}: its list {exc}; whether something was taken out cannot be told")
 
     def put_right(self, name: str) -> None:
         self._store.notify(f"{self._path}: {_shown(name)} had one wrong bit; it is put right. Check the disk")
 
+    def header_put_right(self, name: str) -> None:
+        self._store.notify(f"{self._path}: the header of {_shown(name)} was wrong; it is put right. Check the disk")
+
     def compare(self) -> None:
         """With what was written into it."""
-        is_ours = self.records or self.addresses
-        if is_ours and not (self.listed or self._has_no_list or self.damaged):
-            self.damaged.append(f"{self._path}: its list is missing; whether something was taken out cannot be told")
-        missing = [file.name for file in self.listed if file.name not in self._names]
+        if self.listed is None:
+            if (self.records or self.addresses) and not (self._has_no_list or self.damaged):
+                said = "its list is missing; whether something was taken out cannot be told"
+                self.damaged.append(f"{self._path}: {said}")
+            return
+        count = missing = 0
+        first = ""
+        for name in self.listed.names():
+            count += 1
+            if name not in self._names:
+                missing += 1
+                first = first or name
         if missing:
             self.damaged.append(
-                f"{self._path}: {len(missing)} of the {len(self.listed)} files that were written into it are missing,"
-                f" the first is {_shown(missing[0])}"
+                f"{self._path}: {missing} of the {count} files that its list names are missing,"
+                f" the first is {_shown(first)}"
             )
 
     def _add_record(self, file: RecordFile, data: bytes) -> None:
