@@ -194,15 +194,10 @@ def test_a_damaged_backup_gives_what_is_whole(place_map: PlaceMap, store: MapSto
         restore_backup(other, backup)
 
 
-def test_a_backup_that_leads_nowhere_is_refused(store: MapStore, tmp_path: Path) -> None:
+def test_a_backup_without_a_map_or_an_end_is_told(store: MapStore, tmp_path: Path) -> None:
     backup = tmp_path / "b.tar"
     write_backup(store, backup)
     whole = backup.read_bytes()
-    member = tarfile.TarInfo("maps/records/x")
-    member.size = -1024
-    backup.write_bytes(member.tobuf(tarfile.GNU_FORMAT) + whole[512:])
-    with pytest.raises(DataError, match="no backup"):
-        restore_backup(MapStore(tmp_path / "other"), backup)
     with tarfile.open(backup, "w") as archive:
         archive.addfile(tarfile.TarInfo("notes.txt"))
     with pytest.raises(DataError, match="no map in it"):
