@@ -7,6 +7,7 @@ import re
 import zlib
 
 ADDRESS = re.compile(r"[0-9a-f]{64}-[0-9a-f]{8}")
+ADDRESS_LENGTH = 64 + 1 + 8
 _POLYNOMIAL = 0xEDB88320  # CRC-32 of IEEE 802.3, bits reversed, as zlib computes it
 
 
@@ -41,6 +42,18 @@ def heal(data: bytes, address: str) -> bytes | None:
         if state in found:
             return _flipped(data, position, 7 - found[state], address)
     return None
+
+
+def wrong_bits(found: bytes, wanted: bytes) -> int:
+    """By how many bits two differ; by all of them where they are not of one length."""
+    if len(found) != len(wanted):
+        return 8 * max(len(found), len(wanted))
+    return (int.from_bytes(found) ^ int.from_bytes(wanted)).bit_count()
+
+
+def is_nearly(found: bytes, wanted: bytes) -> bool:
+    """Whether one wrong bit at most is all that they differ by. For what is known by heart and has no address."""
+    return wrong_bits(found, wanted) <= 1
 
 
 def _flipped(data: bytes, position: int, bit: int, address: str) -> bytes | None:

@@ -5,18 +5,18 @@ from __future__ import annotations
 import io
 import shutil
 import tarfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import BinaryIO
 
-from shared.bounded import MAX_FILE_BYTES, MAX_JSON_BYTES, MB, Refused, in_pieces, open_file
+from shared.bounded import MAX_FILE_BYTES, MAX_JSON_BYTES, Refused, open_file
 from shared.disk import PRIVATE, make_folder, replacing
 from shared.errors import DataError
 from shared.text import printable
 from station.maps import backup_list, versions
-from station.maps.address import ADDRESS, address_of, heal, is_whole
-from station.maps.backup_list import Listed, with_right_headers
+from station.maps.address import ADDRESS, address_of, heal, is_nearly, is_whole
+from station.maps.archive import MAX_PIECE_BYTES, DamagedArchive, members
+from station.maps.backup_list import BackupList, Listed, with_right_headers
 from station.maps.blobs import Damaged, blob_name
 from station.maps.contents import Contents, row_of
 from station.maps.record import MapRecord, decode_record
@@ -24,7 +24,6 @@ from station.maps.record_files import RecordFile, parse_record_name
 from station.maps.store import MapStore
 
 MAX_SHOWN = 80  # characters of a name that somebody else gave
-MAX_PIECE_BYTES = MB  # no header of ours has more
 # What tarfile raises for one that is none: it trusts what it finds in headers, and follows them one in another.
 _NO_ARCHIVE = (tarfile.TarError, EOFError, ValueError, OverflowError, RecursionError)
 README_NAME = "README.txt"
@@ -107,16 +106,17 @@ def _restore(store: MapStore, contents: Contents, path: Path) -> BackupReport:
     try:
         with open_file(path) as file:
             found.listed = backup_list.read(file)
-            whole, names = with_right_headers(file, found.listed)
+            whole, names = with_right_headers(file, found.listed) if found.listed else (file, [])
             for name in names:
-                found.put_right(name)
-            with _opened(in_pieces(whole, MAX_PIECE_BYTES)) as archive:
-                for member in _members(archive, path.stat().st_size, found.lost):
+                found.header_put_right(name)
+            with DamagedArchive(whole) as archive:
+                for member in members(archive, found.lost):
                     found.add(archive, member)
     except (Refused, *_NO_ARCHIVE) as exc:
         if not found.records:
             why = found.damaged[0].removeprefix(f"{path}: ") if found.damaged else exc
             raise DataError(f"{path} is no backup ({why}); give a file written by `station map backup`") from exc
+        found.ends_early = True
         found.damaged.append(f"{path} ends early ({exc}); what came before was restored")
     except OSError as exc:
         raise DataError(f"{path} cannot be read ({exc.strerror}); give a file written by `station map backup`") from exc
@@ -142,43 +142,6 @@ def _restore(store: MapStore, contents: Contents, path: Path) -> BackupReport:
     return BackupReport(len(found.records), count, path.stat().st_size, tuple(found.damaged))
 
 
-def _opened(file: BinaryIO) -> tarfile.TarFile:
-    """Blocks that are no header are passed over: else a wrong bit in one header would be taken for the end."""
-    return tarfile.open(fileobj=file, mode="r:", ignore_zeros=True)
-
-
-def _members(archive: tarfile.TarFile, size: int, lost: Callable[[int, str], None]) -> Iterator[tarfile.TarInfo]:
-    """What can be read of an archive of `size` bytes; `lost` is told how many bytes cannot, and where.
-
-    Raises ValueError: a header leads back, or beyond the end.
-    """
-    end = 0
-    for member in archive:
-        if member.size < 0 or member.offset < end:
-            raise ValueError("a header leads back")
-        if member.offset > end:
-            lost(member.offset - end, f"before {member.name}")
-        yield member
-        end = member.offset_data + -(-member.size // tarfile.BLOCKSIZE) * tarfile.BLOCKSIZE
-    if size - end < 2 * tarfile.BLOCKSIZE:
-        raise ValueError("its end is missing")
-    begin = _first_not_zero(archive, end)
-    if begin is not None:
-        lost(size - begin, "at its end")
-
-
-def _first_not_zero(archive: tarfile.TarFile, begin: int) -> int | None:
-    """Where something comes from `begin` on, where an archive's end has nothing."""
-    file = archive.fileobj
-    assert file is not None
-    file.seek(begin)
-    while block := file.read(tarfile.BLOCKSIZE):
-        if block.strip(b"\0"):
-            return begin
-        begin += len(block)
-    return None
-
-
 class _Found:
     """What a backup holds; nothing of it is unpacked to the disk but files of maps, under the addresses they have."""
 
@@ -188,9 +151,11 @@ class _Found:
         self.damaged: list[str] = []
         self.entries = 0  # of any kind
         self.strangers, self.first_stranger = 0, ""  # entries that no backup has
-        self.listed: list[Listed] = []  # what was written into it, where it says so
+        self.listed: BackupList | None = None  # what was written into it, where it says so
+        self.ends_early = False
         self._names: set[str] = set()
         self._has_no_list = False  # it was written before there were lists
+        self._has_damaged_list = False
         self._store = store
         self._path = path
 
@@ -209,7 +174,7 @@ class _Found:
             return
         if not member.isfile() or not ADDRESS.fullmatch(address):
             if member.isfile() and member.name == README_NAME and member.size == len(README_BEFORE_LISTS):
-                self._has_no_list = _read(archive, member, len(README_BEFORE_LISTS)) == README_BEFORE_LISTS
+                self._has_no_list = is_nearly(_read(archive, member, member.size), README_BEFORE_LISTS)
             if member.name != README_NAME:
                 self.strangers += 1
                 self.first_stranger = self.first_stranger or member.name
@@ -238,24 +203,40 @@ class _Found:
         """How it is; it was read before, but where something stands behind it."""
         try:
             data = self._whole(_read(archive, member, MAX_FILE_BYTES), member.name, address)
-            self.listed = self.listed or backup_list.decode(data, member.name)
+            self.listed = self.listed or backup_list.decode(data, member.name, member.offset)
         except (Refused, _LeftOut) as exc:
+            self._has_damaged_list = True
             self.damaged.append(f"{self._path}: its list {exc}; whether something was taken out cannot be told")
 
     def put_right(self, name: str) -> None:
         self._store.notify(f"{self._path}: {_shown(name)} had one wrong bit; it is put right. Check the disk")
 
+    def header_put_right(self, name: str) -> None:
+        self._store.notify(f"{self._path}: the header of {_shown(name)} was wrong; it is put right. Check the disk")
+
     def compare(self) -> None:
         """With what was written into it."""
-        is_ours = self.records or self.addresses
-        if is_ours and not (self.listed or self._has_no_list or self.damaged):
-            self.damaged.append(f"{self._path}: its list is missing; whether something was taken out cannot be told")
-        missing = [file.name for file in self.listed if file.name not in self._names]
+        if self.listed is None:
+            self._say_that_the_list_is_missing()
+            return
+        count = missing = 0
+        first = ""
+        for name in self.listed.names():
+            count += 1
+            if name not in self._names:
+                missing += 1
+                first = first or name
         if missing:
             self.damaged.append(
-                f"{self._path}: {len(missing)} of the {len(self.listed)} files that were written into it are missing,"
-                f" the first is {_shown(missing[0])}"
+                f"{self._path}: {missing} of the {count} files that its list names are missing,"
+                f" the first is {_shown(first)}"
             )
+
+    def _say_that_the_list_is_missing(self) -> None:
+        """Unless that follows from what was said."""
+        is_ours = self.records or self.addresses
+        if is_ours and not (self._has_no_list or self._has_damaged_list or self.ends_early):
+            self.damaged.append(f"{self._path}: its list is missing; whether something was taken out cannot be told")
 
     def _add_record(self, file: RecordFile, data: bytes) -> None:
         try:

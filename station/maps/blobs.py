@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Iterator
 
 from shared.disk import SCRATCH
 from shared.errors import DataError
 from station.maps.address import address_of, heal, is_whole
-from station.maps.bucket import Bucket
+from station.maps.bucket import Bucket, Unreadable
 
 FOLDER = "blobs"
 REPAIR_OR_RESTORE = "run `station map repair` or restore a backup"
@@ -35,9 +36,7 @@ class Blobs:
         missing = {
             blob_name(address): data
             for address, data in dict(named).items()
-            if (there := self._bucket.get(blob_name(address))) is None
-            or not is_whole(there, address)
-            or self._age_s(address) > RENEWED_AFTER_S
+            if not self._is_there(address) or self._age_s(address) > RENEWED_AFTER_S
         }
         self._bucket.put(missing)
         return [address for address, _ in named]
@@ -52,6 +51,12 @@ class Blobs:
             return False
         self._bucket.remove(blob_name(address))
         return True
+
+    def _is_there(self, address: str) -> bool:
+        there = None
+        with contextlib.suppress(Unreadable):
+            there = self._bucket.get(blob_name(address))
+        return there is not None and is_whole(there, address)
 
     def _age_s(self, address: str) -> float:
         name = blob_name(address)
@@ -70,7 +75,10 @@ def blob_name(address: str) -> str:
 
 def read_checked(bucket: Bucket, name: str, address: str, what: str, notify: Notify) -> bytes:
     """A file of a bucket, checked; one wrong bit is put right, in the bucket too where it can be written."""
-    data = bucket.get(name)
+    try:
+        data = bucket.get(name)
+    except Unreadable as exc:
+        raise Damaged(f"{what}: {str(exc).partition(';')[0]}; {REPAIR_OR_RESTORE}") from exc
     if data is None:
         raise Damaged(f"{what} ({bucket.place}/{name}) is missing; {REPAIR_OR_RESTORE}")
     if is_whole(data, address):

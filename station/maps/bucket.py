@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import time
 from collections.abc import Iterator, Mapping
@@ -10,12 +11,21 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Protocol
 
-from shared.bounded import MAX_FILE_BYTES, read_file
+from shared.bounded import MAX_FILE_BYTES, MB, read_file
 from shared.disk import PRIVATE, lock, make_folder, replace_files
 from shared.errors import ConfigError, DataError
 from station.files.unwritable import cannot_write
 
 ADDING = ".adding"  # locked by everybody who writes files that no record names yet
+# What says that a file is not what was written: a bad sector, a broken file system, too many bytes, no file at all.
+# Others are of who looks, or of the moment: without permission or descriptors every file were damaged.
+_OF_THE_FILE = frozenset(
+    (errno.EIO, errno.EBADMSG, errno.EUCLEAN, errno.ENODATA, errno.EFBIG, errno.EISDIR, errno.ENXIO, errno.ELOOP)
+)
+
+
+class Unreadable(DataError):
+    """One file cannot be read; others can, as far as that tells."""
 
 
 class Bucket(Protocol):
@@ -31,7 +41,7 @@ class Bucket(Protocol):
         ...
 
     def get(self, name: str) -> bytes | None:
-        """A file's bytes; None when it is not there."""
+        """A file's bytes; None when it is not there. Raises Unreadable."""
         ...
 
     def names(self, prefix: str) -> Iterator[tuple[str, float]]:
@@ -59,6 +69,10 @@ class FolderBucket:
         self.place = str(root)
 
     def put(self, files: Mapping[str, bytes]) -> None:
+        for name, data in files.items():
+            if len(data) > MAX_FILE_BYTES:  # `get` would refuse it
+                sizes = f"{len(data) // MB} MB, more than the {MAX_FILE_BYTES // MB} MB that are read"
+                raise DataError(f"{self._root / name} is not written: it has {sizes}; make a map of shorter drives")
         try:
             contents = {self._root / name: data for name, data in files.items()}
             for folder in {path.parent for path in contents}:
@@ -73,7 +87,8 @@ class FolderBucket:
         except (FileNotFoundError, NotADirectoryError):
             return None
         except OSError as exc:
-            raise DataError(f"{self._root / name} cannot be read ({exc.strerror}); check the disk") from exc
+            kind = Unreadable if exc.errno in _OF_THE_FILE else DataError
+            raise kind(f"{self._root / name} cannot be read ({exc.strerror}); check the disk") from exc
 
     def names(self, prefix: str) -> Iterator[tuple[str, float]]:
         now = time.time()

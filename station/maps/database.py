@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import sqlite3
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,6 +21,7 @@ from shared.bounded import open_file, shown
 from shared.disk import lock
 from shared.errors import ConfigError, DataError
 from station.files.unwritable import Unwritable, cannot_write, why_unwritable
+from station.maps.sqlite_header import STAMP, why_foreign
 
 LOCK = ".lock"  # in the store's folder
 REVISIONS = ("0001", "0002")  # the migrations in migrations/versions
@@ -32,11 +32,6 @@ _SQLITE_IS_BROKEN = re.compile(
     r"malformed|not a database|no such (table|column)|unsupported file format|corrupt|text encoding|decode",
     re.IGNORECASE,
 )
-# https://www.sqlite.org/fileformat.html
-SQLITE_BEGINS = b"SQLite format 3\0"
-SQLITE_WRITES_AT, SQLITE_WRITES_AHEAD, SQLITE_HEAD_BYTES = 18, b"\2", 100
-SQLITE_USER_VERSION, SQLITE_STAMP = slice(60, 64), slice(68, 72)
-STAMP = b"SntM"  # its application_id
 # https://www.sqlite.org/rescode.html: PERM, READONLY, IOERR, FULL, CANTOPEN
 _SQLITE_CANNOT_WRITE = (3, 8, 10, 13, 14)
 
@@ -87,7 +82,7 @@ class Database:
         """
         with self._in_words(), self._engine.connect() as connection, connection.begin():
             if self.is_sqlite:  # its BEGIN looks at nothing yet: whatever is wrong shows here, before the caller's work
-                self._refuse_programs(connection)
+                self._refuse_views_and_triggers(connection)
             yield connection
 
     @contextlib.contextmanager
@@ -97,7 +92,8 @@ class Database:
             connection = plain.execution_options(writes=True)
             with connection.begin():
                 if self.is_sqlite:
-                    self._refuse_programs(connection)
+                    self._refuse_views_and_triggers(connection)
+                    _stamp(connection)
                 else:
                     connection.execute(
                         text("SELECT pg_advisory_xact_lock(:kind, hashtext(:name))"),
@@ -129,16 +125,13 @@ class Database:
         with self.writing("migrations") as connection:
             was_empty = self.revision(connection) is None
             upgrade(connection)
-            if self.is_sqlite:
-                connection.exec_driver_sql(f"PRAGMA application_id = {int.from_bytes(STAMP)}")
         return was_empty
 
     def refuse_foreign(self) -> None:
         """Raises DataError: the database is another program's, and stays as it is.
 
-        With our stamp it is ours. Without, it was made before there were stamps: then it has our table, as one of
-        PostgreSQL that is ours. In the store's own folder what cannot be read is ours, too, and is made anew;
-        elsewhere, also behind a link, it may be anybody's.
+        In the store's own folder what cannot be read is ours, and is made anew; elsewhere, also behind a link, it may
+        be anybody's.
         """
         if self.path is None:
             self._refuse_foreign_tables()
@@ -147,27 +140,9 @@ class Database:
         if not self.exists:
             return
         is_own = not self._is_named and not self.path.is_symlink()
-        with self._in_words(), self.path.open("rb") as file:
-            head = file.read(SQLITE_HEAD_BYTES)
-        stamp = head[SQLITE_STAMP]
-        has_numbers = any(stamp) or any(head[SQLITE_USER_VERSION])
-        if not _is_nearly(head[: len(SQLITE_BEGINS)], SQLITE_BEGINS):
-            why = "is no SQLite database"
-        elif _is_nearly(stamp, STAMP):
-            return
-        elif not is_own and (has_numbers or head[SQLITE_WRITES_AT:].startswith(SQLITE_WRITES_AHEAD)):
-            why = "is another program's database (its header has that program's numbers)"
-        else:
-            try:
-                columns, others = _looked_into(self.path)
-            except sqlite3.DatabaseError as exc:
-                why = f"is damaged ({exc}), and may be another program's"
-            else:
-                if columns >= _OURS or not others:
-                    return
-                is_own = False
-                why = f"is another program's database (it has {shown(others[0])})"
-        if is_own:
+        with self._in_words():
+            why = why_foreign(self.path, VERSIONS.name, _OURS, in_own_place=is_own)
+        if not why:
             return
         remedy = "name another file in store.database, or move this one away where it was one: the records make it anew"
         raise DataError(f"{self.place} {why}; {remedy}")
@@ -193,11 +168,11 @@ class Database:
             " store.database, empty, such as `createdb` makes"
         )
 
-    def _refuse_programs(self, connection: Connection) -> None:
-        """A view in a table's place, or a trigger: a file from elsewhere could compute without end."""
+    def _refuse_views_and_triggers(self, connection: Connection) -> None:
+        """A view in a table's place, or a trigger: in a file from elsewhere either could compute without end."""
         kinds = "SELECT group_concat(DISTINCT type) FROM sqlite_master WHERE type IN ('view', 'trigger')"
-        if (programs := connection.exec_driver_sql(kinds).scalar()) is not None:
-            raise IndexDamaged(f"{self.place} is damaged (it has a {programs}, as no station makes)")
+        if (found := connection.exec_driver_sql(kinds).scalar()) is not None:
+            raise IndexDamaged(f"{self.place} is damaged (it has a {found}, as no station makes)")
 
     def _refuse(self, revision: str) -> None:
         """A revision this program does not know: of a newer one, whose tables differ, or a wrong bit."""
@@ -289,6 +264,13 @@ class Database:
         return "make its disk writable again, or choose a folder that can be written"
 
 
+def _stamp(connection: Connection) -> None:
+    """Say in an SQLite file's header whose it is, also in one that was made before there were stamps."""
+    number = int.from_bytes(STAMP)
+    if connection.exec_driver_sql("PRAGMA application_id").scalar() != number:
+        connection.exec_driver_sql(f"PRAGMA application_id = {number}")
+
+
 def upgrade(connection: Connection, revision: str = HEAD) -> None:
     """Run the migrations up to a revision, in this connection's transaction."""
     from alembic.command import upgrade as run  # half a second to load, and seldom needed
@@ -298,24 +280,6 @@ def upgrade(connection: Connection, revision: str = HEAD) -> None:
     config.set_main_option("script_location", str(Path(__file__).parent / "migrations"))
     config.attributes["connection"] = connection
     run(config, revision)
-
-
-def _looked_into(path: Path) -> tuple[set[str], list[str]]:
-    """Columns of our table in an SQLite file, and the names of whatever is in it.
-
-    It is only read: no journal is played back, none is written.
-    """
-    with contextlib.closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as connection:
-        connection.text_factory = lambda data: data.decode(errors="replace")
-        columns = connection.execute(f"PRAGMA table_info({VERSIONS.name})").fetchall()
-        names = connection.execute("SELECT name FROM sqlite_master ORDER BY name").fetchall()
-    return {str(row[1]) for row in columns}, [str(name) for (name,) in names]
-
-
-def _is_nearly(found: bytes, wanted: bytes) -> bool:
-    """Whether one bit at most is another one."""
-    is_as_long = len(found) == len(wanted)
-    return is_as_long and (int.from_bytes(found) ^ int.from_bytes(wanted)).bit_count() <= 1
 
 
 def _url(url: str, folder: Path) -> URL:

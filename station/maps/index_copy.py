@@ -19,7 +19,7 @@ from typing import IO
 
 from shared.disk import lock
 from station.files.unwritable import Unwritable, cannot_write, why_unwritable
-from station.maps.bucket import Bucket, FolderBucket
+from station.maps.bucket import Bucket, FolderBucket, Unreadable
 from station.maps.contents import Contents
 from station.maps.database import Database
 
@@ -37,10 +37,16 @@ class Overlay:
         self.place = below.place
 
     def put(self, files: Mapping[str, bytes]) -> None:
-        there = next((name for name in files if self._below.get(name) is not None), None)
+        there = next((name for name in files if self._is_below(name)), None)
         if there is not None:
             raise Unwritable(f"{self.place}/{there} cannot be written; it is only looked at")
         self._above.put(files)
+
+    def _is_below(self, name: str) -> bool:
+        try:
+            return self._below.get(name) is not None
+        except Unreadable:
+            return True
 
     def get(self, name: str) -> bytes | None:
         data = self._above.get(name)

@@ -68,7 +68,7 @@ def index_unclaimed(contents: Contents) -> list[VersionRow]:
         found: dict[tuple[str, int], tuple[MapRecord, VersionRow]] = {}
         there = {address for address, _ in contents.blobs.addresses()}
         for one in read_all(contents.bucket, newer(without_row(contents.bucket, rows), rows), contents.notify):
-            if one.record is None:
+            if one.record is None or one.data is None:
                 contents.notify(one.sentence)
                 continue
             key = one.file.map_id, one.file.number

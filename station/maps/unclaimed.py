@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from station.maps.blobs import Damaged, Notify, read_checked
-from station.maps.bucket import Bucket
+from station.maps.bucket import Bucket, Unreadable
 from station.maps.record import MapRecord, decode_record
 from station.maps.record_files import RecordFile, record_files
 from station.maps.versions import VersionRow
@@ -17,7 +17,7 @@ class Unclaimed:
     """A record without a row, read."""
 
     file: RecordFile
-    data: bytes
+    data: bytes | None  # None: it cannot be read
     record: MapRecord | None  # None: it is damaged
     sentence: str  # what is damaged; empty while it is whole
 
@@ -44,6 +44,10 @@ def read_all(bucket: Bucket, files: list[RecordFile], notify: Notify) -> Iterato
             data = read_checked(bucket, file.name, file.address, what, notify)
             yield Unclaimed(file, data, decode_record(data, what), "")
         except Damaged as exc:
-            left = bucket.get(file.name)
+            try:
+                left = bucket.get(file.name)
+            except Unreadable:
+                yield Unclaimed(file, None, None, str(exc))
+                continue
             if left is not None:  # else a writer that failed took it away just now
                 yield Unclaimed(file, left, None, str(exc))

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import subprocess
 from collections.abc import Iterator
+from io import BufferedReader, FileIO
 from pathlib import Path
 
 import pytest
+
+from shared import bounded
 
 
 @contextlib.contextmanager
@@ -45,6 +49,30 @@ def small_disk(folder: Path, size: str) -> Iterator[Path]:
         yield folder
     finally:
         subprocess.run(["umount", folder], check=True)
+
+
+class BadSectors:
+    """Files of which a read ends with EIO, as on a disk that has them: every other call goes well."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.paths: set[Path] = set()
+        self._open = bounded.open_file
+        monkeypatch.setattr(bounded, "open_file", self._opened)
+
+    def _opened(self, path: Path, **options: bool) -> BufferedReader:
+        file = self._open(path, **options)
+        if path not in self.paths:
+            return file
+        file.close()
+        return BufferedReader(_BadFile(str(path)))
+
+
+class _BadFile(FileIO):
+    def readinto(self, buffer: object, /) -> int:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    def readall(self) -> bytes:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
 
 
 def fill(disk: Path) -> None:

@@ -6,9 +6,11 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from shared.bounded import MAX_FILE_BYTES, read_file
 from station.maps import opening, versions
 from station.maps.address import is_whole
-from station.maps.blobs import Damaged, blob_name
+from station.maps.blobs import Damaged, blob_name, read_checked
+from station.maps.bucket import Unreadable
 from station.maps.contents import Contents, row_of
 from station.maps.record import MapRecord, decode_record
 from station.maps.record_files import ASIDE, FOLDER, RecordFile, record_files
@@ -59,8 +61,8 @@ def repair(store: MapStore, copies: Iterable[Path] = ()) -> Repair:
     done += _index_unclaimed(contents)
     damages = verify(store)
     wanted = {damage.address: damage for damage in damages if damage.address}
-    for address, path in _found_copies(wanted, folders):
-        contents.bucket.put({blob_name(address): path.read_bytes()})
+    for address, data, path in _found_copies(wanted, folders):
+        contents.bucket.put({blob_name(address): data})
         done.append(f"{wanted[address].sentence.partition(';')[0]}: copied again from {path}")
     done += _index_unclaimed(contents)
     done += _set_aside(contents)
@@ -115,22 +117,30 @@ def _copy_records(contents: Contents, folders: list[Path]) -> list[str]:
         rows = versions.all_rows(connection)
     wanted: dict[str, RecordFile] = {}
     for file in record_files(contents.bucket):
-        data = contents.bucket.get(file.name)
-        if data is not None and not is_whole(data, file.address):
+        if not _is_whole_or_gone(contents, file):
             wanted[file.name.rpartition("/")[2]] = file
+    names = {file.name for file in record_files(contents.bucket)}
     for row in rows:
-        if contents.bucket.get(row.file.name) is None:
+        if row.file.name not in names:
             wanted[row.file.name.rpartition("/")[2]] = row.file
     done = []
     for folder in folders if wanted else ():
         for path in sorted(path for path in folder.rglob("*") if path.name in wanted and path.is_file()):
             file = wanted[path.name]
-            data = path.read_bytes()
-            if is_whole(data, file.address):
+            data = _read(path)
+            if data is not None and is_whole(data, file.address):
                 contents.bucket.put({file.name: data})
                 done.append(f"the record of version {file.number} of map {file.map_id} was copied again from {path}")
                 del wanted[path.name]
     return done
+
+
+def _is_whole_or_gone(contents: Contents, file: RecordFile) -> bool:
+    try:
+        data = contents.bucket.get(file.name)
+    except Unreadable:
+        return False
+    return data is None or is_whole(data, file.address)
 
 
 def _set_aside(contents: Contents) -> list[str]:
@@ -141,7 +151,7 @@ def _set_aside(contents: Contents) -> list[str]:
     with contents.database.writing(FOLDER) as connection:
         rows = versions.all_rows(connection)
         for one in read_all(contents.bucket, without_row(contents.bucket, rows), contents.notify):
-            if one.record is not None:
+            if one.record is not None or one.data is None:  # what cannot be read cannot be moved
                 continue
             file = one.file
             aside = replace(file, folder=ASIDE).name
@@ -166,8 +176,9 @@ def _repair_rows(contents: Contents) -> list[str]:
         for file in record_files(contents.bucket):
             if (file.map_id, file.number) != (row.map_id, row.number):
                 continue
-            data = contents.bucket.get(file.name)
-            if data is None or not is_whole(data, file.address):
+            try:
+                data = read_checked(contents.bucket, file.name, file.address, file.name, contents.notify)
+            except Damaged:
                 continue
             with contents.database.writing(row.map_id) as connection:
                 versions.replace_row(connection, row_of(decode_record(data, file.name), data))
@@ -175,16 +186,24 @@ def _repair_rows(contents: Contents) -> list[str]:
     return done
 
 
-def _found_copies(wanted: dict[str, Damage], folders: Iterable[Path]) -> Iterator[tuple[str, Path]]:
+def _found_copies(wanted: dict[str, Damage], folders: Iterable[Path]) -> Iterator[tuple[str, bytes, Path]]:
     sizes = {damage.size for damage in wanted.values()}
     missing = set(wanted)
     for folder in folders:
         for path in sorted(folder.rglob("*")):
             if missing and path.is_file() and path.stat().st_size in sizes:
-                data = path.read_bytes()
+                data = _read(path) or b""
                 for address in [a for a in missing if wanted[a].size == len(data) and is_whole(data, a)]:
                     missing.discard(address)
-                    yield address, path
+                    yield address, data, path
+
+
+def _read(path: Path) -> bytes | None:
+    """Of a folder with copies; None where a file of it cannot be read, which need not be the one that is sought."""
+    try:
+        return read_file(path, MAX_FILE_BYTES)
+    except OSError:
+        return None
 
 
 def _go_back(store: MapStore, contents: Contents, left: tuple[Damage, ...]) -> list[str]:

@@ -13,9 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from shared.errors import ConfigError, DataError
 from shared.text import is_printable
+from station.main import app
 from station.maps import bucket as bucket_module
 from station.maps import store as store_module
 from station.maps.folder import save_map_folder
@@ -442,7 +444,7 @@ def test_a_postgresql_database_that_is_ours_already_is_used_whatever_was_put_bes
     assert [one.id for one in MapStore(address).list()] == [place_map.id]
 
 
-@pytest.mark.parametrize("at", [3, 100])
+@pytest.mark.parametrize("at", [3, 68, 69, 70, 71, 100])
 def test_one_wrong_bit_makes_ours_no_other_programs(place_map: PlaceMap, tmp_path: Path, at: int) -> None:
     address = StoreAddress(tmp_path / "maps", f"sqlite:///{tmp_path / 'ours.db'}")
     MapStore(address).save(place_map)
@@ -450,6 +452,47 @@ def test_one_wrong_bit_makes_ours_no_other_programs(place_map: PlaceMap, tmp_pat
     content[at] ^= 1
     (tmp_path / "ours.db").write_bytes(content)
     assert [one.id for one in MapStore(address).list()] == [place_map.id]
+
+
+def stamp_of(path: Path) -> bytes:
+    return path.read_bytes()[68:72]
+
+
+def test_a_database_from_before_stamps_gets_one_when_it_is_written_and_not_before(
+    place_map: PlaceMap, tmp_path: Path
+) -> None:
+    ours = tmp_path / "ours.db"
+    address = StoreAddress(tmp_path / "maps", f"sqlite:///{ours}")
+    MapStore(address).save(place_map)
+    assert stamp_of(ours) == b"SntM"
+    with contextlib.closing(sqlite3.connect(ours)) as connection:
+        connection.execute("PRAGMA application_id = 0")
+    before = ours.read_bytes()
+    assert [one.id for one in MapStore(address).list()] == [place_map.id]
+    assert ours.read_bytes() == before
+    rename_place(MapStore(address), place_map.id, place_map.places[0].id, "Sofa")
+    assert stamp_of(ours) == b"SntM"
+
+
+@pytest.mark.parametrize(
+    ("name", "sql"), [("x'ff'", "x'435245ff'"), ("'\x1b[31msong'", "'CREATE TABLE \x1b]0;owned ((('"), ("x'ff'", "sql")]
+)
+def test_a_named_database_whose_schema_is_no_text_is_refused_in_a_sentence(
+    place_map: PlaceMap, tmp_path: Path, name: str, sql: str
+) -> None:
+    theirs = tmp_path / "theirs"
+    with contextlib.closing(sqlite3.connect(theirs)) as connection:
+        connection.execute("CREATE TABLE song (title TEXT)")
+        connection.execute("PRAGMA writable_schema = 1")
+        connection.execute(f"UPDATE sqlite_master SET name = CAST({name} AS TEXT), sql = CAST({sql} AS TEXT)")
+        connection.commit()
+    before = theirs.read_bytes()
+    config = tmp_path / "station.toml"
+    config.write_text(f'[store]\ndatabase = "sqlite:///{theirs}"\n')
+    result = CliRunner().invoke(app, ["map", "list", "--data", str(tmp_path / "data"), "--config", str(config)])
+    assert isinstance(result.exception, DataError), result.exception
+    assert "another program's" in str(result.exception) and "\x1b" not in str(result.exception)
+    assert theirs.read_bytes() == before
 
 
 def test_a_database_is_named_by_its_path(tmp_path: Path) -> None:
