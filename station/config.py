@@ -5,7 +5,9 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import ipaddress
+import os
 import re
+import stat
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,7 +15,7 @@ from typing import Any
 
 import msgspec
 
-from shared.bounded import MAX_SETTINGS_BYTES, parse_toml, read_text
+from shared.bounded import MAX_SETTINGS_BYTES, parse_toml, read_text, shown
 from shared.calibration import Calibration
 from shared.discovery import DEFAULT_PORT
 from shared.errors import ConfigError
@@ -27,6 +29,7 @@ MAX_ACTIVE_MAPS = 8  # every picture is looked for in each of them, and their in
 BACKENDS = ("sfm", "ukf", "mono", "smoothing")
 AUTO = "auto"  # what suits the robot
 DASK, PROCESSES = "dask://", "processes"
+MAX_FILE_NAME_BYTES, MAX_PATH_BYTES = 255, 4095  # of Linux; other systems have the same or a little less
 NAME_RULE = "a robot's name has 1 to 40 letters, digits, - and _, and begins with a letter"
 # Letters of any alphabet: names in DNS may have them.
 _ADDRESS = re.compile(r"(?:\[(?P<v6>[^\[\]]+)\]|(?P<host>[^\s:\[\]]+))(?::(?P<port>[0-9]{1,5}))?")
@@ -230,9 +233,44 @@ def _refuse_unknown(content: dict[str, Any], kind: type[Any], path: Path, prefix
 
 
 def _decode(kind: type[Any], value: Any) -> Any:
-    if kind is Path and isinstance(value, str):
+    """Raises ValueError, to which msgspec adds the key."""
+    if kind is not Path:
+        raise NotImplementedError
+    if not isinstance(value, str):
+        raise ValueError(f"Expected `str`, got `{type(value).__name__}`")
+    if why := why_no_path(value):
+        raise ValueError(f"{shown(value)} is no folder's name ({why})")
+    try:
         return Path(value).expanduser()
-    raise NotImplementedError
+    except RuntimeError as exc:  # ~somebody
+        raise ValueError(f"{shown(value)} is no folder's name (nobody here has this home)") from exc
+
+
+def why_no_path(text: str) -> str:
+    """Why no file can have this name; empty: one can."""
+    if not text:
+        return "it is empty"
+    if "\0" in text:
+        return "it has a NUL character"
+    whole = os.fsencode(text)
+    if len(whole) > MAX_PATH_BYTES or max(map(len, whole.split(b"/"))) > MAX_FILE_NAME_BYTES:
+        return "it is too long"
+    return ""
+
+
+def check_folder(folder: Path, setting: str) -> Path:
+    """The folder, where it is one or may become one. Raises ConfigError naming the setting."""
+    why = ""
+    try:
+        if not stat.S_ISDIR(folder.stat().st_mode):
+            why = "a file has this name"
+    except (FileNotFoundError, PermissionError):  # it is made when it is needed; who may not is told then
+        pass
+    except (OSError, ValueError) as exc:
+        why = getattr(exc, "strerror", None) or str(exc)
+    if why:
+        raise ConfigError(f"{setting} = {shown(str(folder))} is no folder ({why}); name another one")
+    return folder
 
 
 def check_executor(address: str) -> None:

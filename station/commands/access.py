@@ -27,8 +27,8 @@ from station.access.paired_robots import PairedRobot, PairedRobots
 from station.access.pairing import confirm
 from station.access.pairing import pair as pair_with
 from station.access.visitors import LINK_S, access_folder
-from station.commands.options import Config, Data, Json
-from station.config import DEFAULT_DATA_DIR, load_config, parse_address
+from station.commands.options import Config, Data, Json, data_folder
+from station.config import load_config, parse_address
 
 CERTIFICATE_DAYS = 820  # some browsers take no longer one
 FIRST = "owner"
@@ -225,8 +225,7 @@ def _one(book: TokenBook, name: str, now_s: float) -> TokenRecord:
 
 
 def _folder(data: Path | None, config: Path | None) -> Path:
-    settings = load_config(config)
-    return access_folder(data or settings.data_dir or DEFAULT_DATA_DIR)
+    return access_folder(data_folder(data, load_config(config)))
 
 
 def _robots(data: Path | None, config: Path | None) -> PairedRobots:

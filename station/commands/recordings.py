@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from shared.errors import DataError
-from station.commands.options import Config, Data, Json
+from station.commands.options import Config, Data, Json, data_folder
 from station.config import load_config
 
 recordings = typer.Typer(no_args_is_help=True, help="Recordings on disk.")
@@ -67,7 +67,7 @@ def recover(file: Annotated[Path, typer.Argument(help="A recording that is cut o
 
 
 def _all_recordings(data: Path | None, config: Path | None) -> list[Path]:
-    root = (data or load_config(config).data_dir) / "navigations"
+    root = data_folder(data, load_config(config)) / "navigations"
     if not root.is_dir():
         raise DataError(f"{root} is not there; name the station's data folder with --data")
     return sorted(root.glob("*/recording.mcap"))

@@ -13,6 +13,7 @@ from shared.errors import ConfigError
 from station.config import (
     StationConfig,
     check_backend,
+    check_folder,
     choose_backend,
     load_config,
     parse_address,
@@ -34,6 +35,38 @@ def test_config_file_is_read_and_unknown_keys_are_named(tmp_path: Path) -> None:
     path.write_text("[drive]\nlease_s = 0\n")
     with pytest.raises(ConfigError, match="lease_s"):
         load_config(path)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        "true",
+        "5",
+        '["a"]',
+        "1979-05-27",
+        '""',
+        '"a\\u0000b"',
+        f'"/{"a" * 300}"',
+        f'"{"/a" * 2500}"',
+        '"~nobody-here/x"',
+    ],
+)
+def test_a_data_folder_that_cannot_be_one_is_refused_in_one_short_sentence(tmp_path: Path, value: str) -> None:
+    path = tmp_path / "station.toml"
+    path.write_text(f"data_dir = {value}\n")
+    with pytest.raises(ConfigError, match="data_dir") as refused:
+        load_config(path)
+    assert str(path) in str(refused.value) and len(str(refused.value)) < len(str(path)) + 200
+
+
+def test_a_folder_is_one_or_may_become_one(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "folder").mkdir()
+    for name in ("folder", "not-there", "not-there/below"):
+        assert check_folder(tmp_path / name, "data_dir") == tmp_path / name
+    for name in ("file", "file/below", "a" * 300, "a\0b"):
+        with pytest.raises(ConfigError, match=r"^data_dir = .* is no folder"):
+            check_folder(tmp_path / name, "data_dir")
 
 
 @pytest.mark.parametrize(
