@@ -124,6 +124,17 @@ class StoreConfig:
     database: str = ""  # postgresql://user:password@host/name; stations may share one
     blobs: str = ""  # a URL that fsspec knows, such as s3://bucket/maps; stations that share a database share this too
 
+    def __post_init__(self) -> None:
+        kind, _, place = self.database.partition("://")
+        if kind.partition("+")[0] != "sqlite":
+            return
+        file = place.partition("?")[0].removeprefix("/")
+        if why := "it names no file" if file in ("", ":memory:") else why_no_path(file):
+            raise ConfigError(
+                f"store.database = {shown(self.database)} cannot be used ({why});"
+                " give SQLite's file by its path, as in sqlite:////var/lib/sentinel/maps.db"
+            )
+
 
 @dataclass(frozen=True, slots=True)
 class StationConfig:

@@ -12,6 +12,7 @@ from shared.calibration import REFERENCE_CAMERA, REFERENCE_ROBOT
 from shared.errors import ConfigError
 from station.config import (
     StationConfig,
+    StoreConfig,
     check_backend,
     check_folder,
     choose_backend,
@@ -67,6 +68,22 @@ def test_a_folder_is_one_or_may_become_one(tmp_path: Path) -> None:
     for name in ("file", "file/below", "a" * 300, "a\0b"):
         with pytest.raises(ConfigError, match=r"^data_dir = .* is no folder"):
             check_folder(tmp_path / name, "data_dir")
+
+
+@pytest.mark.parametrize(
+    "url", ["sqlite://", "sqlite:///", "sqlite+pysqlite:///", "sqlite:///:memory:", f"sqlite:////{'a' * 5000}"]
+)
+def test_a_database_that_is_no_file_is_refused(url: str) -> None:
+    with pytest.raises(ConfigError, match=r"store\.database") as refused:
+        StoreConfig(url)
+    assert len(str(refused.value)) < 300
+    with pytest.raises(ConfigError, match="NUL"):
+        StoreConfig("sqlite:////a\0b")
+
+
+def test_a_database_file_or_server_is_taken() -> None:
+    for url in ("", "sqlite:////var/lib/maps.db", "sqlite:///maps.db?timeout=3", "postgresql://u@h/maps"):
+        assert StoreConfig(url).database == url
 
 
 @pytest.mark.parametrize(
