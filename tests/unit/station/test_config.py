@@ -14,10 +14,12 @@ from station.config import (
     StationConfig,
     StoreConfig,
     check_backend,
+    check_executor,
     check_folder,
     choose_backend,
     load_config,
     parse_address,
+    parse_robot,
 )
 
 
@@ -36,6 +38,41 @@ def test_config_file_is_read_and_unknown_keys_are_named(tmp_path: Path) -> None:
     path.write_text("[drive]\nlease_s = 0\n")
     with pytest.raises(ConfigError, match="lease_s"):
         load_config(path)
+
+
+LONG = "n" * 100_000
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        f'name = "{LONG}"',
+        f"[api]\nport = {'9' * 4000}",
+        f"[drive]\nlease_s = {'9' * 4000}",
+        f"[recordings]\nkeep_free_mb = -{'9' * 4000}",
+        f"{LONG} = 1",
+        f"{LONG} = 1\n{LONG} = 1",
+        f"[{LONG}]\n[{LONG}]",
+        f'executor = "{LONG}"',
+        f'[[robots]]\nname = "{LONG}"\nhost = "a"',
+        f'[[robots]]\nname = "a"\nhost = "{LONG}"\n[[robots]]\nname = "b"\nhost = "{LONG}"',
+    ],
+    ids=lambda content: content.replace("n" * 1000, "").replace("9" * 100, "")[:30],
+)
+def test_what_is_wrong_is_not_repeated_whole(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "station.toml"
+    path.write_text(content)
+    with pytest.raises(ConfigError) as refused:
+        load_config(path)
+    assert len(str(refused.value)) < len(str(path)) + 400
+
+
+@pytest.mark.parametrize("text", [LONG, f"{LONG}:{LONG}", f"{LONG}=a:1"], ids=["word", "address", "robot"])
+def test_a_long_option_is_not_repeated_whole(text: str) -> None:
+    for refuse in (check_backend, check_executor, lambda t: parse_robot(f"{t} ", "--robot")):
+        with pytest.raises(ConfigError) as refused:
+            refuse(text)
+        assert len(str(refused.value)) < 600
 
 
 @pytest.mark.parametrize(
