@@ -11,15 +11,18 @@ import sys
 import time
 from pathlib import Path
 from typing import Annotated, Literal
+from urllib.parse import urlsplit
 
 import typer
 
 from shared.access import Role, Token
 from shared.advice import complete, option
+from shared.bounded import shown
 from shared.certificates import CERTIFICATE_NAME, make_identity, open_identity, show_fingerprint
 from shared.errors import ConfigError
 from shared.listening import show_address
 from shared.pairing import parse_code
+from shared.text import is_printable
 from shared.token_book import TokenBook, TokenRecord
 from shared.token_lines import revoke_token, show_tokens
 from station.access.expiry import expiry_sentence
@@ -95,6 +98,10 @@ def link(
     config: Config = None,
 ) -> None:
     """A link that logs one browser in, once, within ten minutes: for a phone that cannot paste a token."""
+    if address and not _is_page(address):
+        raise ConfigError(
+            f"--address {shown(address)} is no page's address; give one such as https://192.168.1.20:8080"
+        )
     book, now_s = TokenBook(_folder(data, config)), time.time()
     code = book.add_for(_one(book, name, now_s), "link", now_s, LINK_S).text
     where = address.rstrip("/") or f"https://{socket.gethostname()}:8080"
@@ -140,12 +147,12 @@ def pair(
         print(unconfirmed, file=sys.stderr)
     for other in before:
         print(_lost_its_address(other, paired), file=sys.stderr)
-    shown = show_fingerprint(bytes.fromhex(paired.fingerprint))
+    fingerprint = show_fingerprint(bytes.fromhex(paired.fingerprint))
     if as_json:
         print(json.dumps({"robot": paired.name, "host": host, "port": port, "fingerprint": paired.fingerprint}))
         return
     where = f"{show_address(host, port)}{option('--data', data)}{option('--config', config)}"
-    print(f"paired with {paired.name} (certificate {shown}); connect with: station serve --robot {where}")
+    print(f"paired with {paired.name} (certificate {fingerprint}); connect with: station serve --robot {where}")
 
 
 def robots(
@@ -212,6 +219,17 @@ def _own_addresses() -> list[str]:
 
 def _show_token(token: str, name: str, role: Role) -> None:
     print(f"token of {name} ({role.value}), shown only now:\n{token}")
+
+
+def _is_page(address: str) -> bool:
+    """Whether it is an http or https URL of a host, behind which `#login=…` may stand."""
+    try:
+        url = urlsplit(address)
+        port = url.port  # read, it is checked
+    except ValueError:
+        return False
+    is_clean = is_printable(address) and not any(map(str.isspace, address)) and not {"?", "#"} & set(address)
+    return url.scheme in ("http", "https") and bool(url.hostname) and port != 0 and is_clean
 
 
 def _one(book: TokenBook, name: str, now_s: float) -> TokenRecord:
