@@ -29,7 +29,7 @@ from station.access.expiry import expiry_sentence
 from station.access.paired_robots import PairedRobot, PairedRobots
 from station.access.pairing import confirm
 from station.access.pairing import pair as pair_with
-from station.access.visitors import LINK_S, access_folder
+from station.access.visitors import LINK_S, MAX_TOKEN_DAYS, access_folder
 from station.commands.options import Config, Data, Json, data_folder
 from station.config import load_config, parse_address
 
@@ -78,7 +78,9 @@ def add(
     ],
     data: Data = None,
     config: Config = None,
-    days: Annotated[float | None, typer.Option(min=0.001, help="It ends by itself after so many days.")] = None,
+    days: Annotated[
+        float | None, typer.Option(min=0.001, max=MAX_TOKEN_DAYS, help="It ends by itself after so many days.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Make a token for somebody; it is shown once."""

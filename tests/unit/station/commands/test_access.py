@@ -6,11 +6,13 @@ import time
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from shared.errors import ConfigError
 from shared.token_book import TokenBook
 from station.access.visitors import access_folder
 from station.commands.access import init, link
+from station.main import app as station_app
 
 
 @pytest.fixture
@@ -58,3 +60,11 @@ def test_a_link_to_a_page_logs_in(data: Path, address: str, capsys: pytest.Captu
     assert where == address.rstrip("/")
     record = book(data).find(code, time.time())
     assert record is not None and record.kind == "link"
+
+
+@pytest.mark.parametrize("days", ["inf", "nan", "1e300", "0", "-1", "36501"])
+def test_a_token_that_shall_end_ends_within_a_century(data: Path, days: str) -> None:
+    before = book(data).path.read_bytes()
+    words = ["access", "add", "guest", "--role", "watch", "--data", str(data), "--days", days]
+    assert CliRunner().invoke(station_app, words).exit_code == 2
+    assert book(data).path.read_bytes() == before
