@@ -60,6 +60,7 @@ def init(
         _make_certificate(folder, name or [])
     identity = open_identity(folder)
     token = None if book.has_live_token(time.time()) else book.add(FIRST, Role.ADMIN, time.time()).text
+    _say_if_nobody_is_admin(book, data, config)
     if as_json:
         certificate = str(identity.certificate)
         print(json.dumps({"token": token, "fingerprint": identity.fingerprint.hex(), "certificate": certificate}))
@@ -127,7 +128,9 @@ def revoke(
     config: Config = None,
 ) -> None:
     """A token counts no longer; what it has open is closed within a second."""
-    revoke_token(TokenBook(_folder(data, config)), name)
+    book = TokenBook(_folder(data, config))
+    revoke_token(book, name)
+    _say_if_nobody_is_admin(book, data, config)
 
 
 def pair(
@@ -221,6 +224,16 @@ def _own_addresses() -> list[str]:
 
 def _show_token(token: str, name: str, role: Role) -> None:
     print(f"token of {name} ({role.value}), shown only now:\n{token}")
+
+
+def _say_if_nobody_is_admin(book: TokenBook, data: Path | None, config: Path | None) -> None:
+    """`access init` makes an admin only where nobody may anything."""
+    now_s = time.time()
+    if book.has_live_token(now_s, Role.ADMIN):
+        return
+    way = "`access add NAME --role admin`" if book.has_live_token(now_s) else "`access init`"
+    sentence = f"no admin is left, who may delete, pair and let others in over the page; {way} makes one"
+    typer.echo(complete(sentence, "station", {"--data": data, "--config": config}), err=True)
 
 
 def _is_page(address: str) -> bool:

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from shared.errors import ConfigError
 from shared.token_book import TokenBook
 from station.access.visitors import access_folder
-from station.commands.access import init, link
+from station.commands.access import add, init, link, revoke
 from station.main import app as station_app
 
 
@@ -68,3 +68,48 @@ def test_a_token_that_shall_end_ends_within_a_century(data: Path, days: str) -> 
     words = ["access", "add", "guest", "--role", "watch", "--data", str(data), "--days", days]
     assert CliRunner().invoke(station_app, words).exit_code == 2
     assert book(data).path.read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["owner", "by id"])
+def test_who_revokes_the_last_admin_is_told_how_to_make_one(
+    data: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    add("anna", "drive", data)
+    owner = next(token.id for token in book(data).tokens() if token.name == "owner")
+    capsys.readouterr()
+    revoke("owner" if name == "owner" else owner, data)
+    said = capsys.readouterr()
+    assert said.out == f"revoked {owner}  owner\n"
+    assert said.err.count("\n") == 1
+    assert f"`station access add NAME --role admin --data {data}`" in said.err
+
+
+def test_who_sets_up_a_station_without_admin_again_is_told_how_to_make_one(
+    data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    add("anna", "drive", data)
+    revoke("owner", data)
+    capsys.readouterr()
+    init(data)
+    said = capsys.readouterr()
+    assert said.out.startswith("certificate ") and "token" not in said.out
+    assert f"`station access add NAME --role admin --data {data}`" in said.err
+
+
+def test_nothing_is_said_of_admins_while_there_is_one(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    add("anna", "drive", data)
+    add("bert", "admin", data)
+    revoke("anna", data)
+    revoke("owner", data)
+    init(data)
+    assert capsys.readouterr().err == ""
+
+
+def test_a_station_that_nobody_may_use_gets_an_admin_by_setting_it_up_again(
+    data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    revoke("owner", data)
+    assert "`station access init --data" in capsys.readouterr().err
+    init(data)
+    said = capsys.readouterr()
+    assert "token of owner (admin)" in said.out and said.err == ""
