@@ -100,7 +100,7 @@ def test_a_data_folder_that_is_none_is_refused_by_every_command(
     monkeypatch.chdir(tmp_path)
     assert end_of(station_main, [*command, "--data", folder], monkeypatch) == 1
     said = capsys.readouterr().err
-    assert said.startswith("station: --data") and "no folder" in said and len(said) < 250
+    assert said.startswith("station: --data") and "no folder" in said and len(said) < 350
 
 
 def test_a_full_disk_gets_one_sentence(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

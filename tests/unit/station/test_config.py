@@ -64,7 +64,7 @@ def test_what_is_wrong_is_not_repeated_whole(tmp_path: Path, content: str) -> No
     path.write_text(content)
     with pytest.raises(ConfigError) as refused:
         load_config(path)
-    assert len(str(refused.value)) < len(str(path)) + 400
+    assert len(str(refused.value)) < len(str(path)) + 600
 
 
 @pytest.mark.parametrize("text", [LONG, f"{LONG}:{LONG}", f"{LONG}=a:1"], ids=["word", "address", "robot"])
@@ -72,7 +72,7 @@ def test_a_long_option_is_not_repeated_whole(text: str) -> None:
     for refuse in (check_backend, check_executor, lambda t: parse_robot(f"{t} ", "--robot")):
         with pytest.raises(ConfigError) as refused:
             refuse(text)
-        assert len(str(refused.value)) < 600
+        assert len(str(refused.value)) < 800
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_a_data_folder_that_cannot_be_one_is_refused_in_one_short_sentence(tmp_p
     path.write_text(f"data_dir = {value}\n")
     with pytest.raises(ConfigError, match="data_dir") as refused:
         load_config(path)
-    assert str(path) in str(refused.value) and len(str(refused.value)) < len(str(path)) + 200
+    assert str(path) in str(refused.value) and len(str(refused.value)) < len(str(path)) + 400
 
 
 def test_a_folder_is_one_or_may_become_one(tmp_path: Path) -> None:
@@ -113,7 +113,7 @@ def test_a_folder_is_one_or_may_become_one(tmp_path: Path) -> None:
 def test_a_database_that_is_no_file_is_refused(url: str) -> None:
     with pytest.raises(ConfigError, match=r"store\.database") as refused:
         StoreConfig(url)
-    assert len(str(refused.value)) < 300
+    assert len(str(refused.value)) < 400
     with pytest.raises(ConfigError, match="NUL"):
         StoreConfig("sqlite:////a\0b")
 
