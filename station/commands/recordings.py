@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import stat
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
+from shared.bounded import shortened
 from shared.errors import DataError
 from station.commands.options import Config, Data, Json, data_folder
 from station.config import load_config
@@ -59,11 +61,23 @@ def recover(file: Annotated[Path, typer.Argument(help="A recording that is cut o
     from station.commands.progress import working
     from station.recordings.recovery import recover_recording
 
-    if not file.is_file():
-        raise DataError(f"{file} is not there; `station recordings verify` lists the station's")
+    _check_file(file)
     with working(str(file)):
         recovery = recover_recording(file)
     print(f"{file} is whole; nothing was changed" if recovery is None else recovery)
+
+
+def _check_file(path: Path) -> None:
+    """Raises DataError: it is no file, and what it is instead."""
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError as exc:
+        raise DataError(f"{path} is not there; `station recordings verify` lists the station's") from exc
+    except OSError as exc:
+        raise DataError(f"{shortened(str(path))} cannot be read ({exc.strerror}); name a recording") from exc
+    if not stat.S_ISREG(mode):
+        what = "a folder" if stat.S_ISDIR(mode) else "a pipe or a device"
+        raise DataError(f"{path} is {what}, no recording; `station recordings verify` lists the station's")
 
 
 def _all_recordings(data: Path | None, config: Path | None) -> list[Path]:
