@@ -27,7 +27,7 @@ MAX_LINE_BYTES = 64 * 1024
 # danger while it is small.
 MAX_RATIO = 32
 FREE_BYTES = 32 * MB
-SHOWN_CHARACTERS = 80
+SHOWN_CHARACTERS = 200  # the longest name of ours, a record's of a map with a long id, has 190
 MAX_KEY_PARTS = 32  # of TOML; our files have four
 
 _KINDS = {

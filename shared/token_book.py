@@ -143,8 +143,10 @@ class TokenBook:
             if record.kind == "token"
         ]
 
-    def has_live_token(self, now_s: float) -> bool:
-        return any(record.kind == "token" and record.is_live(now_s) for record in self._records.values())
+    def has_live_token(self, now_s: float, role: Role = Role.WATCH) -> bool:
+        """Whether there is a token that may at least as much as this role."""
+        tokens = (record for record in self._records.values() if record.kind == "token")
+        return any(token.is_live(now_s) and token.role.includes(role) for token in tokens)
 
     # Changing
 

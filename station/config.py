@@ -5,7 +5,9 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import ipaddress
+import os
 import re
+import stat
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,13 +15,13 @@ from typing import Any
 
 import msgspec
 
-from shared.bounded import MAX_SETTINGS_BYTES, parse_toml, read_text
+from shared.bounded import MAX_SETTINGS_BYTES, parse_toml, read_text, shortened, shown
 from shared.calibration import Calibration
 from shared.discovery import DEFAULT_PORT
 from shared.errors import ConfigError
 from shared.listening import show_address
 from shared.messages import MAX_DRIVE_TTL_MS, MAX_NAME_LENGTH
-from shared.text import is_printable
+from shared.text import explain, is_printable
 
 DEFAULT_DATA_DIR = Path("station-data")
 MAX_ROBOTS = 64  # each has two worker processes
@@ -27,6 +29,7 @@ MAX_ACTIVE_MAPS = 8  # every picture is looked for in each of them, and their in
 BACKENDS = ("sfm", "ukf", "mono", "smoothing")
 AUTO = "auto"  # what suits the robot
 DASK, PROCESSES = "dask://", "processes"
+MAX_FILE_NAME_BYTES, MAX_PATH_BYTES = 255, 4095  # of Linux; other systems have the same or a little less
 NAME_RULE = "a robot's name has 1 to 40 letters, digits, - and _, and begins with a letter"
 # Letters of any alphabet: names in DNS may have them.
 _ADDRESS = re.compile(r"(?:\[(?P<v6>[^\[\]]+)\]|(?P<host>[^\s:\[\]]+))(?::(?P<port>[0-9]{1,5}))?")
@@ -35,7 +38,7 @@ _ROBOT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
 
 def _check_range(key: str, value: float, least: float, most: float) -> None:
     if not least <= value <= most:
-        raise ConfigError(f"{key} = {value} is outside {least}..{most}")
+        raise ConfigError(f"{key} = {shown(value)} is outside {least}..{most}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +114,7 @@ class RecordingConfig:
     def __post_init__(self) -> None:
         for name in ("max_gb", "max_days", "keep_free_mb"):
             if not getattr(self, name) >= 0:
-                raise ConfigError(f"recordings.{name} = {getattr(self, name)} must not be below 0")
+                raise ConfigError(f"recordings.{name} = {shown(getattr(self, name))} must not be below 0")
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +123,17 @@ class StoreConfig:
 
     database: str = ""  # postgresql://user:password@host/name; stations may share one
     blobs: str = ""  # a URL that fsspec knows, such as s3://bucket/maps; stations that share a database share this too
+
+    def __post_init__(self) -> None:
+        kind, _, place = self.database.partition("://")
+        if kind.partition("+")[0] != "sqlite":
+            return
+        file = place.partition("?")[0].removeprefix("/")
+        if why := "it names no file" if file in ("", ":memory:") else why_no_path(file):
+            raise ConfigError(
+                f"store.database = {shown(self.database)} cannot be used ({why});"
+                " give SQLite's file by its path, as in sqlite:////var/lib/sentinel/maps.db"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +159,9 @@ class StationConfig:
         for number, robot in enumerate(self.robots):
             _check_range(f"robots[{number}].port", robot.port, 1, 65535)
         if not 0 < len(self.name) <= MAX_NAME_LENGTH or not is_printable(self.name):  # robots would refuse it
-            raise ConfigError(f"name = {self.name!r} must have 1 to {MAX_NAME_LENGTH} characters that can be shown")
+            raise ConfigError(
+                f"name = {shown(self.name)} must have 1 to {MAX_NAME_LENGTH} characters that can be shown"
+            )
         _check_fleet(self.fleet)
         check_executor(self.executor)
 
@@ -165,21 +181,21 @@ def load_config(path: Path | None) -> StationConfig:
     try:
         content = parse_toml(read_text(path, MAX_SETTINGS_BYTES))
     except (OSError, UnicodeDecodeError) as exc:
-        raise ConfigError(f"{path} cannot be read ({exc}); give a TOML file") from exc
+        raise ConfigError(f"{path} cannot be read ({explain(exc)}); give a TOML file") from exc
     except ValueError as exc:
-        raise ConfigError(f"{path} is no TOML ({exc}); correct that line") from exc
+        raise ConfigError(f"{path} is no TOML ({explain(exc)}); correct that line") from exc
     _refuse_unknown(content, StationConfig, path, "")
     try:
         return msgspec.convert(content, StationConfig, dec_hook=_decode)
     except msgspec.ValidationError as exc:
-        raise ConfigError(f"{path}: {exc}") from exc
+        raise ConfigError(f"{path}: {explain(exc)}") from exc
 
 
 def parse_robot(text: str, option: str) -> RobotConfig:
     """`HOST:PORT` or `NAME=HOST:PORT`. Raises ConfigError naming the option."""
     name, equals, address = text.rpartition("=")
     if equals and not _ROBOT_NAME.fullmatch(name):
-        raise ConfigError(f"{option} {text!r}: {NAME_RULE}, for example lab=192.168.1.20:{DEFAULT_PORT}")
+        raise ConfigError(f"{option} {shown(text)}: {NAME_RULE}, for example lab=192.168.1.20:{DEFAULT_PORT}")
     return RobotConfig(*parse_address(address, option), name=name)
 
 
@@ -192,7 +208,7 @@ def parse_address(text: str, option: str) -> tuple[str, int]:
         port = int(found["port"] or DEFAULT_PORT)
         if 1 <= port <= 65535:
             return found["host"] or found["v6"], port
-    raise ConfigError(f"{option} {text!r} is no HOST:PORT, for example 192.168.1.20:{DEFAULT_PORT}")
+    raise ConfigError(f"{option} {shown(text)} is no HOST:PORT, for example 192.168.1.20:{DEFAULT_PORT}")
 
 
 def _is_v6(text: str) -> bool:
@@ -208,19 +224,19 @@ def _check_fleet(fleet: tuple[RobotConfig, ...]) -> None:
         raise ConfigError(f"{len(fleet)} robots are given, one station serves {MAX_ROBOTS}; start another station")
     for robot in fleet:
         if not _ROBOT_NAME.fullmatch(robot.name):
-            raise ConfigError(f"robots: {robot.name!r} is no name; {NAME_RULE}")
+            raise ConfigError(f"robots: {shown(robot.name)} is no name; {NAME_RULE}")
     if len(fleet) > 1 and any(robot.host == "auto" for robot in fleet):
         raise ConfigError("robots: auto looks for the only robot in the network; give the HOST:PORT of each of several")
     for what in ([robot.name for robot in fleet], [show_address(robot.host, robot.port) for robot in fleet]):
         if (twice := next((one for one in what if what.count(one) > 1), None)) is not None:
-            raise ConfigError(f"robots: {twice} is given twice; give each robot its own name and address")
+            raise ConfigError(f"robots: {shortened(twice)} is given twice; give each robot its own name and address")
 
 
 def _refuse_unknown(content: dict[str, Any], kind: type[Any], path: Path, prefix: str) -> None:
     known = {f.name: f for f in dataclasses.fields(kind)}
     for key, value in content.items():
         if key not in known:
-            raise ConfigError(f"{path}: unknown key {prefix}{key}; known are {', '.join(known)}")
+            raise ConfigError(f"{path}: unknown key {prefix}{shortened(key)}; known are {', '.join(known)}")
         default: Any = known[key].default_factory
         if isinstance(value, dict) and isinstance(default, type) and dataclasses.is_dataclass(default):
             _refuse_unknown(value, default, path, f"{prefix}{key}.")
@@ -230,9 +246,44 @@ def _refuse_unknown(content: dict[str, Any], kind: type[Any], path: Path, prefix
 
 
 def _decode(kind: type[Any], value: Any) -> Any:
-    if kind is Path and isinstance(value, str):
+    """Raises ValueError, to which msgspec adds the key."""
+    if kind is not Path:
+        raise NotImplementedError
+    if not isinstance(value, str):
+        raise ValueError(f"Expected `str`, got `{type(value).__name__}`")
+    if why := why_no_path(value):
+        raise ValueError(f"{shown(value)} is no folder's name ({why})")
+    try:
         return Path(value).expanduser()
-    raise NotImplementedError
+    except RuntimeError as exc:  # ~somebody
+        raise ValueError(f"{shown(value)} is no folder's name (nobody here has this home)") from exc
+
+
+def why_no_path(text: str) -> str:
+    """Why no file can have this name; empty: one can."""
+    if not text:
+        return "it is empty"
+    if "\0" in text:
+        return "it has a NUL character"
+    whole = os.fsencode(text)
+    if len(whole) > MAX_PATH_BYTES or max(map(len, whole.split(b"/"))) > MAX_FILE_NAME_BYTES:
+        return "it is too long"
+    return ""
+
+
+def check_folder(folder: Path, setting: str) -> Path:
+    """The folder, where it is one or may become one. Raises ConfigError naming the setting."""
+    why = ""
+    try:
+        if not stat.S_ISDIR(folder.stat().st_mode):
+            why = "a file has this name"
+    except (FileNotFoundError, PermissionError):  # it is made when it is needed; who may not is told then
+        pass
+    except (OSError, ValueError) as exc:
+        why = getattr(exc, "strerror", None) or str(exc)
+    if why:
+        raise ConfigError(f"{setting} = {shown(str(folder))} is no folder ({why}); name another one")
+    return folder
 
 
 def check_executor(address: str) -> None:
@@ -240,7 +291,7 @@ def check_executor(address: str) -> None:
     host, colon, port = address.removeprefix(DASK).rpartition(":")
     if address in ("", PROCESSES) or (address.startswith(DASK) and colon and host and port.isdecimal()):
         return
-    raise ConfigError(f"executor {address!r} is none; give {PROCESSES} or dask://HOST:PORT of a Dask scheduler")
+    raise ConfigError(f"executor {shown(address)} is none; give {PROCESSES} or dask://HOST:PORT of a Dask scheduler")
 
 
 def choose_backend(name: str, calibration: Calibration) -> str:
@@ -276,8 +327,8 @@ def load_factory(name: str) -> Callable[[Calibration], Any]:
     try:
         found = getattr(importlib.import_module(module), factory, None) if colon else None
     except (ImportError, ValueError) as exc:
-        raise ConfigError(f"backend {name!r} cannot be loaded ({exc}); choose one of {choices}") from exc
+        raise ConfigError(f"backend {shown(name)} cannot be loaded ({explain(exc)}); choose one of {choices}") from exc
     if not callable(found):
-        raise ConfigError(f"backend {name!r} is unknown; choose one of {choices}")
+        raise ConfigError(f"backend {shown(name)} is unknown; choose one of {choices}")
     make: Callable[[Calibration], Any] = found
     return make

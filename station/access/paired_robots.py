@@ -32,7 +32,7 @@ class PairedRobot(msgspec.Struct, frozen=True, kw_only=True):
     robot_id: str
     name: str
     host: str  # where it was when it was paired; empty: another robot was paired there since
-    port: int
+    port: Annotated[int, msgspec.Meta(ge=1, le=65535)]
     fingerprint: Annotated[str, msgspec.Meta(pattern=FINGERPRINT)]  # hex SHA-256 of its certificate
     token: str
     also_at: tuple[str, ...] = ()  # further HOST:PORT that were given for it; no other robot is met there
@@ -75,7 +75,7 @@ class PairedRobot(msgspec.Struct, frozen=True, kw_only=True):
 
 class _File(msgspec.Struct, frozen=True, kw_only=True):
     version: Literal[1] = 1
-    robots: tuple[PairedRobot, ...] = ()
+    robots: tuple[PairedRobot, ...]  # a file without them is no file of robots, and is not to be replaced by one
 
 
 class PairedRobots:

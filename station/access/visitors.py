@@ -27,6 +27,7 @@ LOOK_S = 0.5  # who was revoked is out by then
 FLUSH_S = 60.0
 SESSION_S = 30 * 86_400.0
 LINK_S = 600.0
+MAX_TOKEN_DAYS = 36_500  # of one that ends by itself
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from shared.bounded import shown
 from shared.errors import ConfigError
 from shared.pairing import parse_code
 from station.access.pairing import PairingFailed, confirm, pair
-from station.access.visitors import SESSION_S, Visitor
+from station.access.visitors import MAX_TOKEN_DAYS, SESSION_S, Visitor
 from station.api.deps import RobotDep, StationDep, VisitorDep
 from station.api.doorkeeper import COOKIE, address_of
 from station.api.problems import responses
@@ -35,7 +35,9 @@ class LoginOrder(Question):
 class TokenOrder(Question):
     name: str = Field(min_length=1, max_length=64)
     role: Annotated[Role, Field(strict=False)]  # a word in JSON
-    days: float | None = Field(default=None, gt=0, le=36_500, description="it ends by itself; null: it does not")
+    days: float | None = Field(
+        default=None, gt=0, le=MAX_TOKEN_DAYS, description="it ends by itself; null: it does not"
+    )
 
 
 class TokenModel(Model):

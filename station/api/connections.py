@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import os
 import resource
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, cast
 
 from uvicorn._types import ASGISendEvent
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.frames import CloseCode
 
 from shared.reception import Caller
 from shared.seats import Seats, rank_of
 from station.access.visitors import Visitor
 from station.errors import Busy
 
+logger = logging.getLogger(__name__)
 MAX_STRANGERS = 64  # connections on which nobody known has asked for anything
 STRANGER_WITHIN_S = 60.0  # the page's files to who logs in, over a slow link
 MAX_KNOWN = 256
@@ -173,6 +176,16 @@ class SocketProtocol(WebSocketsSansIOProtocol):
         if not self.handshake_initiated or connection_of(self.app_state).may_say(len(data), time.monotonic()):
             super().data_received(data)
 
+    def send_receive_event_to_app(self) -> None:
+        """Hand a message on, or end the socket whose text is none. Uvicorn would log that with a traceback."""
+        if self.curr_msg_data_type == "text" and not self.close_sent and not _is_text(self.frames):
+            logger.warning("a WebSocket's text was no UTF-8: it is closed")
+            self.frames = []
+            self.conn.send_close(CloseCode.INVALID_DATA)
+            self.handle_parser_exception()
+            return
+        super().send_receive_event_to_app()
+
     async def send(self, message: ASGISendEvent) -> None:
         await super().send(message)
         if self.close_sent:
@@ -182,6 +195,14 @@ class SocketProtocol(WebSocketsSansIOProtocol):
     def connection_lost(self, exc: Exception | None) -> None:
         connection_of(self.app_state).lost()
         super().connection_lost(exc)
+
+
+def _is_text(frames: Sequence[bytes | bytearray]) -> bool:
+    try:
+        b"".join(frames).decode()
+    except UnicodeDecodeError:
+        return False
+    return True
 
 
 def connection_of(state: Mapping[str, Any]) -> Connection:

@@ -92,9 +92,16 @@ async def get_driver(
     if not visitor.role.includes(Role.DRIVE):
         return f"{visitor.name}, who watches"
     if x_driver:
-        # Logs and other pages tell it. One that is too long is refused where it drives; a stop counts whoever says it.
-        return printable(x_driver[: MAX_DRIVER_NAME + 1])
+        return driver_name(x_driver)
     return f"API client at {connection.client.host}" if connection.client else "API client"
+
+
+def driver_name(given: str) -> str:
+    """The name that somebody gives itself, as logs and other pages tell it.
+
+    One that is too long stays so, and is refused where it drives; a stop counts whoever says it.
+    """
+    return printable(given[: MAX_DRIVER_NAME + 1])
 
 
 VisitorDep = Annotated[Visitor, Depends(get_visitor)]

@@ -13,7 +13,7 @@ from shared.bounded import shortened
 from shared.errors import RobotSystemError
 from shared.messages import MAX_DRIVE_TTL_MS
 from shared.text import printable
-from station.api.deps import DriverDep, RobotDep, StationDep
+from station.api.deps import DriverDep, RobotDep, StationDep, driver_name
 from station.api.limits import converse, receive_text
 from station.api.messages import (
     DriveAccepted,
@@ -41,7 +41,7 @@ from station.api.schema.robot import (
 )
 from station.errors import NoRobot
 from station.events import Event, MessageReader
-from station.robots.driving import MAX_DRIVER_NAME, LateCommands
+from station.robots.driving import LateCommands
 from station.robots.session import RobotSession
 
 router = APIRouter(tags=["robot"])
@@ -131,7 +131,7 @@ async def drive_socket(socket: WebSocket, robot: RobotDep, driver: str = "") -> 
     """
     # Two nameless pages of one computer are two drivers: one at a time.
     place = f"page at {socket.client.host}" if socket.client else "page"
-    name = printable(driver[:MAX_DRIVER_NAME]) or f"{place} #{next(_connections)}"
+    name = driver_name(driver) or f"{place} #{next(_connections)}"
     late = LateCommands()
 
     async def obey() -> None:

@@ -11,24 +11,27 @@ import sys
 import time
 from pathlib import Path
 from typing import Annotated, Literal
+from urllib.parse import urlsplit
 
 import typer
 
 from shared.access import Role, Token
 from shared.advice import complete, option
+from shared.bounded import shown
 from shared.certificates import CERTIFICATE_NAME, make_identity, open_identity, show_fingerprint
 from shared.errors import ConfigError
 from shared.listening import show_address
 from shared.pairing import parse_code
+from shared.text import is_printable
 from shared.token_book import TokenBook, TokenRecord
 from shared.token_lines import revoke_token, show_tokens
 from station.access.expiry import expiry_sentence
 from station.access.paired_robots import PairedRobot, PairedRobots
 from station.access.pairing import confirm
 from station.access.pairing import pair as pair_with
-from station.access.visitors import LINK_S, access_folder
-from station.commands.options import Config, Data, Json
-from station.config import DEFAULT_DATA_DIR, load_config, parse_address
+from station.access.visitors import LINK_S, MAX_TOKEN_DAYS, access_folder
+from station.commands.options import Config, Data, Json, data_folder
+from station.config import load_config, parse_address
 
 CERTIFICATE_DAYS = 820  # some browsers take no longer one
 FIRST = "owner"
@@ -57,6 +60,7 @@ def init(
         _make_certificate(folder, name or [])
     identity = open_identity(folder)
     token = None if book.has_live_token(time.time()) else book.add(FIRST, Role.ADMIN, time.time()).text
+    _say_if_nobody_is_admin(book, data, config)
     if as_json:
         certificate = str(identity.certificate)
         print(json.dumps({"token": token, "fingerprint": identity.fingerprint.hex(), "certificate": certificate}))
@@ -75,7 +79,9 @@ def add(
     ],
     data: Data = None,
     config: Config = None,
-    days: Annotated[float | None, typer.Option(min=0.001, help="It ends by itself after so many days.")] = None,
+    days: Annotated[
+        float | None, typer.Option(min=0.001, max=MAX_TOKEN_DAYS, help="It ends by itself after so many days.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Make a token for somebody; it is shown once."""
@@ -95,6 +101,10 @@ def link(
     config: Config = None,
 ) -> None:
     """A link that logs one browser in, once, within ten minutes: for a phone that cannot paste a token."""
+    if address and not _is_page(address):
+        raise ConfigError(
+            f"--address {shown(address)} is no page's address; give one such as https://192.168.1.20:8080"
+        )
     book, now_s = TokenBook(_folder(data, config)), time.time()
     code = book.add_for(_one(book, name, now_s), "link", now_s, LINK_S).text
     where = address.rstrip("/") or f"https://{socket.gethostname()}:8080"
@@ -118,7 +128,9 @@ def revoke(
     config: Config = None,
 ) -> None:
     """A token counts no longer; what it has open is closed within a second."""
-    revoke_token(TokenBook(_folder(data, config)), name)
+    book = TokenBook(_folder(data, config))
+    revoke_token(book, name)
+    _say_if_nobody_is_admin(book, data, config)
 
 
 def pair(
@@ -140,12 +152,12 @@ def pair(
         print(unconfirmed, file=sys.stderr)
     for other in before:
         print(_lost_its_address(other, paired), file=sys.stderr)
-    shown = show_fingerprint(bytes.fromhex(paired.fingerprint))
+    fingerprint = show_fingerprint(bytes.fromhex(paired.fingerprint))
     if as_json:
         print(json.dumps({"robot": paired.name, "host": host, "port": port, "fingerprint": paired.fingerprint}))
         return
     where = f"{show_address(host, port)}{option('--data', data)}{option('--config', config)}"
-    print(f"paired with {paired.name} (certificate {shown}); connect with: station serve --robot {where}")
+    print(f"paired with {paired.name} (certificate {fingerprint}); connect with: station serve --robot {where}")
 
 
 def robots(
@@ -214,6 +226,27 @@ def _show_token(token: str, name: str, role: Role) -> None:
     print(f"token of {name} ({role.value}), shown only now:\n{token}")
 
 
+def _say_if_nobody_is_admin(book: TokenBook, data: Path | None, config: Path | None) -> None:
+    """`access init` makes an admin only where nobody may anything."""
+    now_s = time.time()
+    if book.has_live_token(now_s, Role.ADMIN):
+        return
+    way = "`access add NAME --role admin`" if book.has_live_token(now_s) else "`access init`"
+    sentence = f"no admin is left, who may delete, pair and let others in over the page; {way} makes one"
+    typer.echo(complete(sentence, "station", {"--data": data, "--config": config}), err=True)
+
+
+def _is_page(address: str) -> bool:
+    """Whether it is an http or https URL of a host, behind which `#login=…` may stand."""
+    try:
+        url = urlsplit(address)
+        port = url.port  # read, it is checked
+    except ValueError:
+        return False
+    is_clean = is_printable(address) and not any(map(str.isspace, address)) and not {"?", "#"} & set(address)
+    return url.scheme in ("http", "https") and bool(url.hostname) and port != 0 and is_clean
+
+
 def _one(book: TokenBook, name: str, now_s: float) -> TokenRecord:
     for record in book.tokens():
         if record.is_live(now_s) and name in (record.name, record.id):
@@ -225,8 +258,7 @@ def _one(book: TokenBook, name: str, now_s: float) -> TokenRecord:
 
 
 def _folder(data: Path | None, config: Path | None) -> Path:
-    settings = load_config(config)
-    return access_folder(data or settings.data_dir or DEFAULT_DATA_DIR)
+    return access_folder(data_folder(data, load_config(config)))
 
 
 def _robots(data: Path | None, config: Path | None) -> PairedRobots:

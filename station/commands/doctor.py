@@ -18,7 +18,8 @@ import typer
 from shared.advice import install, python
 from shared.errors import RobotSystemError
 from shared.listening import bind, show_address
-from station.config import DEFAULT_DATA_DIR, ApiConfig
+from station.commands.options import parse_folder
+from station.config import DEFAULT_DATA_DIR, ApiConfig, check_folder
 from station.files.navigation_folder import REPORT
 from station.model.calibration_fit import FITS, UNKNOWN, FitVerdict
 from station.web import build_hook
@@ -62,12 +63,15 @@ def register(app: typer.Typer) -> None:
 
 
 def doctor(
-    data: Annotated[Path, typer.Option(help="Folder for navigations and maps, as for serve.")] = DEFAULT_DATA_DIR,
+    data: Annotated[
+        Path, typer.Option(parser=parse_folder, metavar="PATH", help="Folder for navigations and maps, as for serve.")
+    ] = DEFAULT_DATA_DIR,
     host: Annotated[str, typer.Option(help="Address the page shall be at.")] = DEFAULTS.host,
     port: Annotated[int, typer.Option(help="Port the page shall be at.")] = DEFAULTS.port,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
     """Say what is missing on this machine, and how to get it. Exit code 1 when the station cannot work without it."""
+    check_folder(data, "--data")
     findings = [*libraries(), page(), free_port(host, port), disk(data), calibration(data)]
     works = all(f.works or f.is_optional for f in findings)
     if as_json:

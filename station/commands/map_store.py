@@ -14,7 +14,7 @@ import typer
 
 from shared.advice import complete
 from shared.errors import DataError
-from station.commands.options import Config, Data, Json
+from station.commands.options import Config, Data, Json, data_folder
 from station.commands.progress import working
 from station.config import load_config
 from station.maps.blobs import REPAIR_OR_RESTORE
@@ -46,7 +46,7 @@ def register(maps: typer.Typer) -> None:
 def store_address(data: Path | None, config: Path | None) -> StoreAddress:
     """Where the maps of a station with this data folder and this configuration lie."""
     settings = load_config(config)
-    root = (data or settings.data_dir) / "maps"
+    root = data_folder(data, settings) / "maps"
     return StoreAddress(root, settings.store.database, settings.store.blobs, settings.name)
 
 

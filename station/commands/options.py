@@ -10,13 +10,29 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import typer
 
-from shared.errors import DataError
+from shared.bounded import shown
+from shared.errors import ConfigError, DataError
+from station.config import StationConfig, check_folder, why_no_path
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 T = TypeVar("T", bound="DataclassInstance")
-Data = Annotated[Path | None, typer.Option("--data", help="The station's data folder; by default as the config says.")]
+
+
+def parse_folder(text: str) -> Path:
+    """What `--data` says. An empty one is a variable of a shell that was never set, not the working directory."""
+    if why := why_no_path(text):
+        raise ConfigError(f"--data {shown(text)} is no folder's name ({why}); name the station's data folder")
+    return Path(text)
+
+
+Data = Annotated[
+    Path | None,
+    typer.Option(
+        "--data", parser=parse_folder, metavar="PATH", help="The station's data folder; by default as the config says."
+    ),
+]
 Config = Annotated[Path | None, typer.Option("--config", help="The station's TOML file.")]
 Json = Annotated[bool, typer.Option("--json", help="End with one JSON object on stdout.")]
 Mode = Annotated[
@@ -29,6 +45,11 @@ Places = Annotated[
 AlignBy = Annotated[
     Literal["both", "geometry", "appearance"], typer.Option(help="Default mode: what registration sees.")
 ]
+
+
+def data_folder(data: Path | None, settings: StationConfig) -> Path:
+    """The station's data folder: `--data`, else what the settings say. Raises ConfigError: it is no folder."""
+    return check_folder(settings.data_dir, "data_dir") if data is None else check_folder(data, "--data")
 
 
 def overridden(settings: T, **options: Any) -> T:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import stat
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -10,8 +11,9 @@ from typing import Annotated, Any
 
 import typer
 
+from shared.bounded import shortened
 from shared.errors import DataError
-from station.commands.options import Config, Data, Json
+from station.commands.options import Config, Data, Json, data_folder
 from station.config import load_config
 
 recordings = typer.Typer(no_args_is_help=True, help="Recordings on disk.")
@@ -59,15 +61,27 @@ def recover(file: Annotated[Path, typer.Argument(help="A recording that is cut o
     from station.commands.progress import working
     from station.recordings.recovery import recover_recording
 
-    if not file.is_file():
-        raise DataError(f"{file} is not there; `station recordings verify` lists the station's")
+    _check_file(file)
     with working(str(file)):
         recovery = recover_recording(file)
     print(f"{file} is whole; nothing was changed" if recovery is None else recovery)
 
 
+def _check_file(path: Path) -> None:
+    """Raises DataError: it is no file, and what it is instead."""
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError as exc:
+        raise DataError(f"{path} is not there; `station recordings verify` lists the station's") from exc
+    except OSError as exc:
+        raise DataError(f"{shortened(str(path))} cannot be read ({exc.strerror}); name a recording") from exc
+    if not stat.S_ISREG(mode):
+        what = "a folder" if stat.S_ISDIR(mode) else "a pipe or a device"
+        raise DataError(f"{path} is {what}, no recording; `station recordings verify` lists the station's")
+
+
 def _all_recordings(data: Path | None, config: Path | None) -> list[Path]:
-    root = (data or load_config(config).data_dir) / "navigations"
+    root = data_folder(data, load_config(config)) / "navigations"
     if not root.is_dir():
         raise DataError(f"{root} is not there; name the station's data folder with --data")
     return sorted(root.glob("*/recording.mcap"))

@@ -15,7 +15,7 @@ from shared.certificates import show_fingerprint
 from shared.listening import bind, show_address
 from shared.long_lived import keep_for_good
 from shared.repetition import start_logging
-from station.commands.options import overridden
+from station.commands.options import data_folder, overridden, parse_folder
 from station.config import (
     DEFAULT_DATA_DIR,
     ApiConfig,
@@ -54,7 +54,13 @@ def serve(
         ),
     ] = None,
     data: Annotated[
-        Path | None, typer.Option(help="Folder for navigations and maps.", show_default=str(DEFAULT_DATA_DIR))
+        Path | None,
+        typer.Option(
+            parser=parse_folder,
+            metavar="PATH",
+            help="Folder for navigations and maps.",
+            show_default=str(DEFAULT_DATA_DIR),
+        ),
     ] = None,
     backend: Annotated[
         str | None,
@@ -131,7 +137,7 @@ def _settings(
         executor=executor,
         robots=tuple(parse_robot(text, "--robot") for text in robot) if robot else None,
         slam=slam,
-        data_dir=data,
+        data_dir=data_folder(data, settings),
         access=overridden(settings.access, insecure=insecure or None),
     )
 

@@ -64,9 +64,17 @@ def check_file(path: Path, file: BinaryIO, *, is_being_written: bool = False) ->
     for part in parts_of(file):
         survey.add(part)
     damage = survey.inside or fault
-    if not is_ended and not is_being_written:
+    if not survey.messages and not _begins_as_one(file):
+        damage = "it is no recording: it neither begins as one nor has a part of one in it"
+    elif not is_ended and not is_being_written:
         damage = "; ".join(filter(None, ("it has no end: its writer was killed, or the file was cut", damage)))
     return RecordingCheck(path, survey.messages, survey.seconds, size, damage, is_being_written)
+
+
+def _begins_as_one(file: BinaryIO) -> bool:
+    """Whether its first bytes are a recording's; of one that was cut right there as many as there are."""
+    file.seek(0)
+    return MAGIC.startswith(file.read(len(MAGIC)))
 
 
 def _read(file: BinaryIO, size: int) -> tuple[Survey, str]:

@@ -18,7 +18,7 @@ from shared.calibration import REFERENCE_ROBOT
 from shared.messages import ErrorNotice
 from shared.text import is_printable
 from station.robots.session import MAX_STOP_LINES, MAX_WARNINGS
-from tests.support.link import Bench, Proxy, linked, running_robot, until
+from tests.support.link import WAIT_S, Bench, Proxy, linked, running_robot, until
 from tests.support.station import Desk, running_station, store_map
 from tests.support.station_at_work import at_work, drive_off, heard, is_problem, wait_for
 
@@ -161,6 +161,25 @@ async def test_a_drivers_name_forges_no_line_and_moves_no_terminal(tmp_path: Pat
         await desk.http.post("/drive/take-over", headers=[(b"X-Driver", b"anna\x9b2J")])
         told = [line["text"] for line in (await desk.http.get("/log")).json() if line["topic"] == "drive"]
         assert len(told) >= 2 and "forged" in told[0] and all(map(is_printable, told))
+
+
+@pytest.mark.parametrize("length", [65, 300])
+async def test_a_drivers_name_that_is_too_long_drives_neither_by_header_nor_by_socket_and_stops(
+    tmp_path: Path, length: int
+) -> None:
+    name = "x" * length
+    async with at_work(tmp_path) as (desk, bench, _film), asyncio.timeout(WAIT_S):
+        refused = await desk.http.post("/drive/take-over", headers={"X-Driver": name})
+        assert is_problem(refused, 422) and "64 characters" in refused.json()["detail"]
+        async with websockets.connect(desk.socket(f"/ws/drive?driver={name}")) as wheel:
+            await wheel.send('{"type": "take_over"}')
+            replies = (json.loads(text) async for text in wheel)
+            refusals = (reply async for reply in replies if reply["type"] == "refused")
+            assert (await anext(refusals))["text"] == refused.json()["detail"]
+            stops = bench.stops_heard
+            await wheel.send('{"type": "stop"}')
+            await until(lambda: bench.stops_heard > stops)
+        assert desk.station.first.driving.driver is None
 
 
 async def test_the_log_tells_who_has_the_wheel_and_who_stopped_the_robot(tmp_path: Path) -> None:

@@ -196,6 +196,22 @@ async def test_refused_sockets_leave_no_line_in_the_log(tmp_path: Path, caplog: 
     assert [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING] == []
 
 
+@pytest.mark.parametrize("pieces", [b"\xff\xfe", (b'{"type": "st', b'op\xff"}')], ids=["whole", "in pieces"])
+async def test_a_socket_that_says_no_text_is_closed_with_one_line_in_the_log(
+    tmp_path: Path, pieces: bytes | tuple[bytes, ...], caplog: pytest.LogCaptureFixture
+) -> None:
+    async with guarded_station(tmp_path) as station, asyncio.timeout(3 * WAIT_S):
+        async with station.socket("/ws/drive", additional_headers=station.headers(Role.DRIVE)) as socket:
+            await socket.send(pieces, text=True)
+            await socket.wait_closed()
+            assert socket.close_code == 1007
+        async with station.socket("/ws/drive", additional_headers=station.headers(Role.DRIVE)) as socket:
+            await socket.send('{"type": "stop", "reason": "ä"}')
+            assert await socket.recv()
+    (line,) = [record for record in caplog.records if record.levelno >= logging.WARNING]
+    assert "no UTF-8" in line.getMessage() and line.exc_info is None
+
+
 async def test_a_socket_that_floods_is_ended_and_one_that_says_what_waited_is_not(tmp_path: Path) -> None:
     """Of a watcher's 2 MB of the shortest frames the station heard nobody else for four seconds."""
     async with guarded_station(tmp_path) as station, asyncio.timeout(3 * WAIT_S):

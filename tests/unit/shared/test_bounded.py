@@ -33,7 +33,9 @@ from shared.sensor_yaml import read_intrinsics_text, read_yaml
 from station.config import load_config
 from station.datasets import open_dataset
 from station.files.ply import read_ply
+from station.maps.address import address_of
 from station.maps.backup import restore_backup
+from station.maps.record_files import RecordFile, parse_record_name
 from station.maps.store import MapStore
 from station.recordings.check import check_recording
 from station.recordings.recovery import recover_recording
@@ -151,6 +153,14 @@ def test_settings_that_nest_without_end_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_message_shows_the_begin_of_a_value() -> None:
-    assert shown("a" * 1000).startswith("'aaa") and len(shown("a" * 1000)) < 100
+    assert shown("a" * 1000).startswith("'aaa") and len(shown("a" * 1000)) < 250
     assert "int" in shown(10**5000)
     assert shown([1, 2]) == "[1, 2]"
+
+
+def test_a_message_shows_names_of_ours_whole() -> None:
+    address = address_of(b"")
+    record = RecordFile("m" * 100, 1_000_000, address)
+    assert parse_record_name(record.name) == record
+    for name in (f"blobs/{address[:2]}/{address}", record.name):
+        assert shown(name) == repr(name)

@@ -77,6 +77,32 @@ def test_an_error_of_ours_keeps_its_sentence_and_code(
     assert capsys.readouterr().err.startswith("station: /nowhere is no folder")
 
 
+@pytest.mark.parametrize("folder", ["", "a" * 300, "/dev/null"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["map", "list"],
+        ["access", "list"],
+        ["access", "init"],
+        ["robots"],
+        ["recordings", "verify"],
+        ["doctor"],
+        ["export", "map-1", "--out", "x", "--format", "tum"],
+    ],
+)
+def test_a_data_folder_that_is_none_is_refused_by_every_command(
+    command: list[str],
+    folder: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert end_of(station_main, [*command, "--data", folder], monkeypatch) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("station: --data") and "no folder" in said and len(said) < 350
+
+
 def test_a_full_disk_gets_one_sentence(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     app = typer.Typer()
 

@@ -117,6 +117,23 @@ def test_addresses_that_are_none_are_a_sentence_before_the_code_is_used_up(robot
         robots.check_writable()
 
 
+@pytest.mark.parametrize("port", [0, -1, 65_536, 99_999_999])
+def test_a_port_that_is_none_is_a_sentence(robots: PairedRobots, port: int) -> None:
+    robots.store(robot("Anna", "10.77.0.11", ANNA))
+    write_private(robots.path, msgspec.json.encode({"version": 1, "robots": [_raw(port=port)]}))
+    with pytest.raises(ConfigError, match=r"damaged .*port.*correct it"):
+        robots.all()
+
+
+@pytest.mark.parametrize("content", [b"{}", b'{"a":1e999}', b'{"version":1}', b'{"version":2,"robots":[]}'])
+def test_a_file_of_something_else_is_not_taken_for_one_without_robots(robots: PairedRobots, content: bytes) -> None:
+    robots.store(robot("Anna", "10.77.0.11", ANNA))
+    write_private(robots.path, content)
+    with pytest.raises(ConfigError, match="is damaged"):
+        robots.store(robot("Berta", "10.77.0.12", BERTA))
+    assert robots.path.read_bytes() == content
+
+
 def test_what_a_terminal_would_obey_is_not_shown(robots: PairedRobots) -> None:
     robots.check_writable()  # makes its folder
     raw = _raw(name="A\x1b[2J\u202eanna", host="h\x07", robot_id="\x1b")
@@ -149,7 +166,7 @@ def test_a_robot_is_forgotten_by_its_whole_certificate_and_none_by_nothing(robot
     assert robots.forget("10.77.0.12").name == "Carla"
 
 
-def _raw(**changes: str) -> dict[str, object]:
+def _raw(**changes: object) -> dict[str, object]:
     return msgspec.to_builtins(robot("Anna", "10.77.0.11", ANNA)) | changes
 
 

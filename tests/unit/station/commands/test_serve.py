@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from shared.errors import ConfigError
@@ -26,3 +28,11 @@ def test_options_of_serve_keep_what_the_file_says_beside_them() -> None:
 def test_a_backend_that_does_not_exist_is_named_before_anything_starts(name: str) -> None:
     with pytest.raises(ConfigError, match="choose one of auto, sfm, ukf, mono"):
         serve_settings(StationConfig(slam=SlamConfig(backend=name)), None, None, None, None, None, False)
+
+
+def test_a_data_folder_that_is_a_file_is_named_before_anything_starts(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigError, match="--data"):
+        serve_settings(StationConfig(), None, None, None, tmp_path / "file", None, False)
+    with pytest.raises(ConfigError, match="data_dir"):
+        serve_settings(StationConfig(tmp_path / "file"), None, None, None, None, None, False)

@@ -46,6 +46,21 @@ def test_a_file_cut_anywhere_is_read_up_to_there(
     assert times == [s.t_robot_ns for n in range(40) for s in batch(10 * n).samples][: len(times)]
 
 
+@pytest.mark.parametrize("content", [b"\xa7" * 100_000, b"a text, say\n" * 50, bytes(1_000_000), b"x"])
+def test_a_file_of_something_else_is_called_no_recording(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(content)
+    said = str(check_recording(path))
+    assert "it is no recording" in said and "killed" not in said and "recover" not in said
+
+
+@pytest.mark.parametrize("length", [0, 1, 8, 20])
+def test_a_recording_that_was_cut_at_its_begin_is_still_called_one(whole: bytes, tmp_path: Path, length: int) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(whole[:length])
+    assert "it has no end" in str(check_recording(path))
+
+
 @settings(max_examples=40, deadline=None)
 @given(position=st.floats(0, 0.999), value=st.integers(1, 255))
 def test_a_flipped_byte_never_gives_wrong_data(
