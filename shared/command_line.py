@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import typer
 
 from shared.advice import complete
+from shared.bounded import shortened
 from shared.errors import RobotSystemError
 from shared.text import printable
 
@@ -30,6 +31,11 @@ def run_program(app: typer.Typer, name: str) -> None:
         print(f"{name}: {printable(complete(str(exc), name, _where(sys.argv)))}", file=sys.stderr)  # files are quoted
         sys.exit(1)
     except OSError as exc:
+        if exc.errno == errno.ENAMETOOLONG:
+            print(
+                f"{name}: {printable(shortened(str(exc.filename)))} is too long a name; name another", file=sys.stderr
+            )
+            sys.exit(1)
         if exc.errno not in UNWRITABLE:
             raise
         what = f"{exc.filename} cannot be used" if exc.filename else "a file cannot be written"

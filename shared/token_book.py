@@ -56,7 +56,7 @@ class TokenRecord(msgspec.Struct, frozen=True, kw_only=True):
 
 class _File(msgspec.Struct, frozen=True, kw_only=True):
     version: Literal[1] = 1
-    tokens: tuple[TokenRecord, ...] = ()
+    tokens: tuple[TokenRecord, ...]  # a file without them is none of ours, and is not to be replaced by one
 
 
 class TokenBook:
@@ -86,7 +86,7 @@ class TokenBook:
         path = folder / FILE_NAME
         with locked(path):
             if not path.exists():
-                write_private(path, msgspec.json.encode(_File()))
+                write_private(path, msgspec.json.encode(_File(tokens=())))
         return cls(folder)
 
     # Asking

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from shared.bounded import MAX_FILE_BYTES, MAX_JSON_BYTES, Refused, open_file
+from shared.bounded import MAX_FILE_BYTES, MAX_JSON_BYTES, Refused, open_file, shortened
 from shared.disk import PRIVATE, make_folder, replacing
 from shared.errors import DataError
 from shared.text import printable
@@ -23,7 +23,6 @@ from station.maps.record import MapRecord, decode_record
 from station.maps.record_files import RecordFile, parse_record_name
 from station.maps.store import MapStore
 
-MAX_SHOWN = 80  # characters of a name that somebody else gave
 # What tarfile raises for one that is none: it trusts what it finds in headers, and follows them one in another.
 _NO_ARCHIVE = (tarfile.TarError, EOFError, ValueError, OverflowError, RecursionError)
 README_NAME = "README.txt"
@@ -250,7 +249,7 @@ class _Found:
 
 def _shown(name: str) -> str:
     """A name that somebody else gave."""
-    return printable(name)[:MAX_SHOWN]
+    return shortened(printable(name))
 
 
 class _LeftOut(Exception):

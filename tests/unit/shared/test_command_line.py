@@ -103,6 +103,18 @@ def test_a_data_folder_that_is_none_is_refused_by_every_command(
     assert said.startswith("station: --data") and "no folder" in said and len(said) < 350
 
 
+@pytest.mark.parametrize("main", [station_main, robot_main])
+def test_a_name_too_long_for_any_file_gets_one_short_sentence(
+    main: Callable[[], None], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = (
+        ["evaluate", "a" * 5000, "b"] if main is station_main else ["--devices", "recorded", "--dataset", "a" * 5000]
+    )
+    assert end_of(main, words, monkeypatch) == 1
+    said = capsys.readouterr().err
+    assert "too long" in said and len(said) < 350 and said.count("\n") == 1
+
+
 def test_a_full_disk_gets_one_sentence(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     app = typer.Typer()
 

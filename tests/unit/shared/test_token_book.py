@@ -173,10 +173,11 @@ def test_a_last_use_of_a_clock_that_was_ahead_is_corrected(tmp_path: Path) -> No
     assert TokenBook(tmp_path).tokens()[0].last_used_s == 100.0
 
 
-def test_a_damaged_book_lets_nobody_in(tmp_path: Path) -> None:
+@pytest.mark.parametrize("content", ["{", "{}", '{"a": 1}'])
+def test_a_damaged_book_lets_nobody_in(tmp_path: Path, content: str) -> None:
     book = TokenBook.create(tmp_path)
     token = book.add("anna", Role.DRIVE, 0.0)
-    book.path.write_text("{")
+    book.path.write_text(content)
     assert book.refresh() and book.find(token.text, 1.0) is None
     with pytest.raises(ConfigError, match="damaged"):
         TokenBook(tmp_path)
