@@ -20,8 +20,12 @@ if TYPE_CHECKING:
 T = TypeVar("T", bound="DataclassInstance")
 
 
-def parse_folder(text: str) -> Path:
-    """What `--data` says. An empty one is a variable of a shell that was never set, not the working directory."""
+def parse_folder(given: str | Path) -> Path:
+    """What `--data` says, or its default.
+
+    An empty one is a variable of a shell that was never set, not the working directory.
+    """
+    text = str(given)
     if why := why_no_path(text):
         raise ConfigError(f"--data {shown(text)} is no folder's name ({why}); name the station's data folder")
     return Path(text)

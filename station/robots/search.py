@@ -49,7 +49,8 @@ class RobotSearch:
         self._met: RobotIdentity | None = None  # the robot that is meant
         self._met_name = ""
         self._paired: tuple[PairedRobot, ...] = ()  # when it could be looked up last
-        self._paired_then: set[str] = set()  # the certificates of all, when the one that is meant was among them last
+        # All by certificate and token, which each pairing makes anew, when the one that is meant was among them last.
+        self._paired_then: set[tuple[str, str]] = set()
 
     @property
     def has_more(self) -> bool:
@@ -74,7 +75,7 @@ class RobotSearch:
         who = f"{names.get(certificate, 'another robot')} answers, and {self._met_name} was found before"
         if not met or met in names:
             return f"{who}; start the station again to look for any robot, or give each its NAME=HOST:PORT"
-        if certificate in names and certificate not in self._paired_then:
+        if any(one not in self._paired_then for one in self._pairings() if one[0] == certificate):
             return ""
         return f"{who}, which is not paired any more; start the station again to look for any robot, or pair anew"
 
@@ -82,7 +83,7 @@ class RobotSearch:
         """It took the station in."""
         names = {paired.fingerprint: paired.name for paired in self._paired}
         self._met, self._met_name = robot, names.get(robot.fingerprint.hex(), robot.robot_id)
-        self._paired_then = set(names)
+        self._paired_then = self._pairings()
         self._waiting.clear()
 
     def refuse(self, found: FoundRobot, reason: str) -> str:
@@ -115,9 +116,11 @@ class RobotSearch:
             self._paired = self._robots.all()
         except ConfigError:  # says nothing of who is paired; the attempt to connect says what is wrong with the file
             return
-        certificates = {robot.fingerprint for robot in self._paired}
-        if self._met is not None and self._met.fingerprint.hex() in certificates:
-            self._paired_then = certificates
+        if self._met is not None and self._met.fingerprint.hex() in {robot.fingerprint for robot in self._paired}:
+            self._paired_then = self._pairings()
+
+    def _pairings(self) -> set[tuple[str, str]]:
+        return {(robot.fingerprint, robot.token) for robot in self._paired}
 
 
 def _is_same(met: RobotIdentity, robot: RobotIdentity) -> bool:

@@ -39,6 +39,13 @@ def test_a_port_in_use_is_named_and_the_exit_code_says_so(tmp_path: Path, taken:
     assert not (tmp_path / "new").exists()  # looking leaves nothing behind
 
 
+def test_without_options_it_looks_at_the_folder_of_the_station(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    found = CliRunner().invoke(app, ["doctor", "--port", "0"])
+    assert found.exception is None or isinstance(found.exception, SystemExit)
+    assert "disk" in found.stdout
+
+
 def test_a_free_port_is_fine_and_stays_free() -> None:
     assert doctor.free_port("127.0.0.1", 0).works
     assert "--host" in doctor.free_port("no such host..", 0).sentence

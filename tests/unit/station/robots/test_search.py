@@ -95,9 +95,9 @@ async def test_the_first_reason_of_a_round_is_told_with_how_many_others_there_we
     assert said == "the code is old; 2 more made themselves known, and none took this station in"
 
 
-def paired_robot(name: str, certificate: str) -> PairedRobot:
+def paired_robot(name: str, certificate: str, token: str = "x") -> PairedRobot:
     return PairedRobot(
-        robot_id="sentinel", name=name, host=f"{name}.local", port=7400, fingerprint=certificate * 64, token="x"
+        robot_id="sentinel", name=name, host=f"{name}.local", port=7400, fingerprint=certificate * 64, token=token
     )
 
 
@@ -145,6 +145,9 @@ async def test_who_was_paired_before_the_forgetting_does_not_come_in_its_place(t
     robots.forget("Anna")
     await search.next()
     assert "Carla answers, and Anna was found before" in search.refusal(CARLA)
+    robots.store(paired_robot("Carla", "c", token="y"))  # as that says: paired anew
+    await search.next()
+    assert not search.refusal(CARLA) and search.refusal(BERTA)
 
 
 @pytest.mark.parametrize("content", [b"damaged", None], ids=["damaged", "away"])
