@@ -50,6 +50,11 @@ VERSIONS = Table(
     Column("seal", String(64), nullable=False),  # of the columns above
     Column("author", String(200), nullable=False, server_default=""),  # the station that wrote it
 )
+# PostgreSQL: tables and views that an extension brings along, such as pg_stat_statements or PostGIS.
+_OF_EXTENSIONS = (
+    "SELECT relname FROM pg_class JOIN pg_depend ON pg_class.oid = objid"
+    " WHERE deptype = 'e' AND classid = 'pg_class'::regclass"
+)
 _OURS = {"map_id", "number", "seal"}  # the columns of VERSIONS by which it is known
 
 
@@ -159,7 +164,8 @@ class Database:
         """PostgreSQL: in the schema that ours would be put into. Who was put beside ours later does not matter."""
         with self.reading() as connection:
             found = inspect(connection)
-            names = sorted((*found.get_table_names(), *found.get_view_names()))
+            of_extensions = set(connection.execute(text(_OF_EXTENSIONS)).scalars())
+            names = sorted({*found.get_table_names(), *found.get_view_names()} - of_extensions)
             columns = found.get_columns(VERSIONS.name) if VERSIONS.name in names else []
         if not names or {column["name"] for column in columns} >= _OURS:
             return

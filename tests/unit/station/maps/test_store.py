@@ -432,6 +432,17 @@ def test_a_postgresql_database_of_another_program_is_refused_and_stays_as_it_was
         assert [f"'{name}'" for (name,) in names] == [found]
 
 
+def test_what_an_extension_of_postgresql_brings_along_is_no_other_programs(
+    place_map: PlaceMap, tmp_path: Path, postgres: PostgresServer
+) -> None:
+    import psycopg
+
+    url = postgres.fresh_database()
+    with psycopg.connect(url) as connection:
+        connection.execute("CREATE EXTENSION pg_stat_statements")
+    MapStore(StoreAddress(tmp_path / "maps", url)).save(place_map)
+
+
 def test_a_postgresql_database_that_is_ours_already_is_used_whatever_was_put_beside_it(
     place_map: PlaceMap, tmp_path: Path, postgres: PostgresServer
 ) -> None:
