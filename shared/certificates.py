@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from shared.bounded import shown
 from shared.errors import ConfigError
 from shared.private_files import make_private_folder, read_private, write_private
 
@@ -136,7 +137,11 @@ def _general_name(name: str) -> x509.GeneralName:
     try:
         return x509.IPAddress(ipaddress.ip_address(name))
     except ValueError:
+        pass
+    try:
         return x509.DNSName(name.encode("idna").decode())
+    except UnicodeError as exc:
+        raise ConfigError(f"{shown(name)} is no host name: its labels have 1 to 63 characters") from exc
 
 
 def days_left(identity: Identity, now: datetime.datetime) -> float:

@@ -14,7 +14,7 @@ from shared.access import Role, Token, is_proof, is_secret_of
 from shared.bounded import shown
 from shared.errors import ConfigError
 from shared.private_files import keep_spare, locked, make_private_folder, read_private, write_private
-from shared.text import is_seen_whole, look_of
+from shared.text import explain, is_seen_whole, look_of
 
 FILE_NAME = "tokens.json"
 MAX_SESSIONS = 32  # of one token; beyond, the oldest ends
@@ -279,8 +279,10 @@ class TokenBook:
             raise ConfigError(f"{self.path} is gone; make it again with `access init`")
         try:
             tokens = msgspec.json.decode(content, type=_File).tokens
-        except msgspec.DecodeError as exc:
-            raise ConfigError(f"{self.path} is damaged ({exc}); delete it and run `access init` again") from exc
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as exc:
+            raise ConfigError(
+                f"{self.path} is damaged ({explain(exc)}); delete it and run `access init` again"
+            ) from exc
         self._records = {record.id: record for record in tokens}
         self._stamp = stamp
 

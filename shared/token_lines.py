@@ -52,4 +52,7 @@ def describe(token: TokenRecord) -> dict[str, str | float | None]:
 
 
 def _date(wall_s: float) -> str:
-    return datetime.datetime.fromtimestamp(wall_s).astimezone().strftime("%Y-%m-%d %H:%M")
+    try:
+        return datetime.datetime.fromtimestamp(wall_s).astimezone().strftime("%Y-%m-%d %H:%M")
+    except (OSError, OverflowError, ValueError):  # a file that was changed by hand
+        return f"at {wall_s:g} s, which no calendar has"

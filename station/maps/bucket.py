@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager
@@ -22,6 +23,7 @@ ADDING = ".adding"  # locked by everybody who writes files that no record names 
 _OF_THE_FILE = frozenset(
     (errno.EIO, errno.EBADMSG, errno.EUCLEAN, errno.ENODATA, errno.EFBIG, errno.EISDIR, errno.ENXIO, errno.ELOOP)
 )
+_PASSWORD = re.compile(r"(://[^/@]*?:)[^/@]*@")  # in a URL
 
 
 class Unreadable(DataError):
@@ -128,11 +130,13 @@ class UrlBucket:
     def __init__(self, url: str) -> None:
         import fsspec  # loaded only where a URL is given
 
-        self.place = url
+        self.place = _PASSWORD.sub(r"\1***@", url)
         try:
             self._files, self._root = fsspec.core.url_to_fs(url)
         except (ImportError, ValueError, OSError) as exc:
-            raise ConfigError(f"store.blobs = {url!r} cannot be used ({exc}); give a URL that fsspec knows") from exc
+            raise ConfigError(
+                f"store.blobs = {self.place!r} cannot be used ({exc}); give a URL that fsspec knows"
+            ) from exc
 
     def put(self, files: Mapping[str, bytes]) -> None:
         try:

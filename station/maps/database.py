@@ -293,7 +293,7 @@ def _url(url: str, folder: Path) -> URL:
         return URL.create("sqlite+pysqlite", database=str((folder / "maps.db").absolute()))
     try:
         made = make_url(url)
-    except ArgumentError as exc:
+    except (ArgumentError, ValueError) as exc:  # ValueError: a port that is none
         raise ConfigError("store.database is no database URL; give postgresql://user@host/name") from exc
     if made.drivername in ("postgresql", "postgres"):
         made = made.set(drivername="postgresql+psycopg")

@@ -12,7 +12,7 @@ from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.hazmat.primitives.asymmetric.types import CertificateIssuerPrivateKeyTypes
 from cryptography.x509.oid import NameOID
 
-from shared.certificates import fingerprint_of_der, open_identity
+from shared.certificates import fingerprint_of_der, make_identity, open_identity
 from shared.errors import ConfigError
 
 PEM = serialization.Encoding.PEM
@@ -75,3 +75,12 @@ def test_a_chain_with_words_before_it_is_used_and_known_by_its_first_certificate
     chain = b"subject=CN = station.home\n" + MINE + certificate(OTHER).public_bytes(PEM)
     der = x509.load_pem_x509_certificate(MINE).public_bytes(serialization.Encoding.DER)
     assert open_identity(put(tmp_path, pem(ONE), chain)).fingerprint == fingerprint_of_der(der)
+
+
+@pytest.mark.parametrize("name", ["../x", 300 * "a"])
+def test_a_name_that_no_host_has_is_a_sentence_and_the_old_certificate_stays(tmp_path: Path, name: str) -> None:
+    now = datetime.datetime(2026, 1, 1, tzinfo=datetime.UTC)
+    before = make_identity(tmp_path, "station", ["station.home"], 1, now)
+    with pytest.raises(ConfigError, match="is no host name"):
+        make_identity(tmp_path, "station", [name], 1, now)
+    assert open_identity(tmp_path).fingerprint == before.fingerprint

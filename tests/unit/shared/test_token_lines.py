@@ -49,3 +49,12 @@ def test_a_revoked_token_says_only_that(book: TokenBook, capsys: pytest.CaptureF
     book.add("guest", Role.WATCH, now_s, 2 * DAY_S)
     book.revoke("guest", now_s)
     assert listed(book, capsys)["guest"].endswith(f"  revoked {day(now_s)}")
+
+
+@pytest.mark.parametrize("wall_s", [-1e18, 1e308])
+def test_a_time_that_no_calendar_has_is_shown_as_a_number(
+    book: TokenBook, capsys: pytest.CaptureFixture[str], wall_s: float
+) -> None:
+    book.add("anna", Role.DRIVE, 100.0)
+    book.path.write_text(book.path.read_text().replace("100.0", str(wall_s)))
+    assert "which no calendar has" in listed(TokenBook(book.path.parent), capsys)["anna"]

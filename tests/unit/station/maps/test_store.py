@@ -455,6 +455,22 @@ def test_a_postgresql_database_that_is_ours_already_is_used_whatever_was_put_bes
     assert [one.id for one in MapStore(address).list()] == [place_map.id]
 
 
+@pytest.mark.parametrize(
+    ("database", "blobs", "said"),
+    [
+        ("postgresql://u:SECRET@[::1/x", "", "store.database is no database URL"),
+        ("postgresql://u:SECRET@host:x/y", "", "store.database is no database URL"),
+        ("", "nothing://u:SECRET@host/x", "store.blobs = 'nothing://u:\\*\\*\\*@host/x' cannot be used"),
+    ],
+)
+def test_an_address_that_is_none_is_a_sentence_without_its_password(
+    tmp_path: Path, database: str, blobs: str, said: str
+) -> None:
+    with pytest.raises(ConfigError, match=said) as refused:
+        MapStore(StoreAddress(tmp_path, database, blobs)).list()
+    assert "SECRET" not in str(refused.value)
+
+
 @pytest.mark.parametrize("at", [3, 68, 69, 70, 71, 100])
 def test_one_wrong_bit_makes_ours_no_other_programs(place_map: PlaceMap, tmp_path: Path, at: int) -> None:
     address = StoreAddress(tmp_path / "maps", f"sqlite:///{tmp_path / 'ours.db'}")
