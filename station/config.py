@@ -248,7 +248,7 @@ def _refuse_unknown(content: dict[str, Any], kind: type[Any], path: Path, prefix
 def _decode(kind: type[Any], value: Any) -> Any:
     """Raises ValueError, to which msgspec adds the key."""
     if kind is not Path:
-        raise NotImplementedError
+        raise NotImplementedError  # as msgspec asks of a hook that does not know a type
     if not isinstance(value, str):
         raise ValueError(f"Expected `str`, got `{type(value).__name__}`")
     if why := why_no_path(value):

@@ -23,9 +23,8 @@ class DamagedArchive(tarfile.TarFile):
         self.num_bytes = file.seek(0, os.SEEK_END)
         self.num_broken = 0
         file.seek(0)
-        super().__init__(
-            fileobj=in_pieces(file, MAX_PIECE_BYTES), mode="r", ignore_zeros=True, tarinfo=_Header
-        )  # fmt: skip
+        pieces = in_pieces(file, MAX_PIECE_BYTES)
+        super().__init__(fileobj=pieces, mode="r", ignore_zeros=True, tarinfo=_Header)
 
 
 class _Header(tarfile.TarInfo):
