@@ -106,6 +106,7 @@ class PairedRobots:
             return msgspec.json.decode(content, type=_File).robots
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as exc:
             said = explain(exc).replace(f"matching regex {FINGERPRINT!r}", "of 64 hexadecimal digits")
+            said = said.replace("`", "'")  # between these we have commands, and one is called `robots`
             raise ConfigError(f"{self.path} is damaged ({said}); correct it, or delete it and pair again") from exc
 
     def knows(self, fingerprint: bytes) -> bool:

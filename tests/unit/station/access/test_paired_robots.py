@@ -9,6 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from shared.access import Token
+from shared.advice import complete
 from shared.certificates import show_fingerprint
 from shared.errors import ConfigError
 from shared.private_files import write_private
@@ -164,6 +165,14 @@ def test_a_robot_is_forgotten_by_its_whole_certificate_and_none_by_nothing(robot
         robots.forget("")  # Berta has no address
     assert robots.forget(show_fingerprint(BERTA).upper()).name == "Berta"
     assert robots.forget("10.77.0.12").name == "Carla"
+
+
+def test_a_file_without_robots_is_a_sentence_without_a_command_in_it(robots: PairedRobots, tmp_path: Path) -> None:
+    robots.store(robot("Anna", "10.77.0.11", ANNA))
+    write_private(robots.path, b"{}")
+    shown = CliRunner().invoke(app, ["robots", "--data", str(tmp_path)])
+    said = complete(str(shown.exception), "station", {"--data": tmp_path})
+    assert "missing required field 'robots')" in said and "station robots" not in said
 
 
 def _raw(**changes: object) -> dict[str, object]:
